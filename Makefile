@@ -1,5 +1,5 @@
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: quality demo experiment test test-fast check setup audit bench faults fuzz soak clean
+.PHONY: ros quality demo experiment test test-fast check setup audit bench faults fuzz soak clean
 PY := .venv/bin/python
 export PYTHON
 
@@ -26,14 +26,19 @@ test: check
 	@.ci/need-faults
 	@.ci/need-promtool
 	@.ci/need-etcd
-	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite tests --ignore=tests/benchmarks -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite tests --ignore=tests/benchmarks --ignore=tests/ros -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 # Tests without real hosts: rules, files, documents, views, and simulated fleets.
-PURE := config doctor experiments executor export formats fuzz gateway model rules scheduler simulation state tui usecases views test_rooms.py
+PURE := config doctor experiments executor export formats fuzz gateway importers model rules scheduler simulation state tui usecases views test_rooms.py
 test-fast: setup
 	@.ci/need-promtool
 	@.ci/need-etcd
 	@$(PY) -m tests.suite $(PURE:%=tests/%) -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
+
+# On a real ROS 1, out of Debian's packages, and rclpy of ROS 2, which are installed where they are missing; without them this fails.
+ros: setup
+	@.ci/need-ros
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite tests/ros
 
 bench: setup
 	@.ci/need-sshd
@@ -70,4 +75,4 @@ experiment: setup
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.experiments.lab --repetitions $(or $(REPETITIONS),3)
 
 clean:
-	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis dist build
+	rm -rf .venv .venv-ros2 .pytest_cache .mypy_cache .ruff_cache .hypothesis dist build

@@ -1,8 +1,8 @@
 """Slowdown of the machine by other load, and timeouts that allow for it.
 
 The slowdown is measured once, at the start of a test session; workers and child processes read it from the
-environment. It multiplies timeouts of expected events and of tests. A wait that checks that nothing happens is not
-scaled.
+environment. It multiplies timeouts of expected events and of tests, and so does the load at the time where that is
+more: other work may begin after the start. A wait that checks that nothing happens is not scaled.
 """
 
 import os
@@ -32,4 +32,4 @@ def pace() -> float:
 
 def patience(seconds: float) -> float:
     """Scale a timeout in seconds that is chosen for an idle machine."""
-    return seconds * pace()
+    return seconds * max(pace(), os.getloadavg()[0] / (os.cpu_count() or 1))

@@ -12,6 +12,7 @@ from edgectl.config.node import Node
 from edgectl.config.placeholders import fill_placeholders
 from edgectl.config.placement_rules import COMPANION_KEYS, check_placement_rules, resolve_companions
 from edgectl.config.problems import ProblemCode, Problems
+from edgectl.config.ros_rules import check_ros
 from edgectl.config.scalars import MAX_NAME_LENGTH
 from edgectl.config.task_file import MAX_TASKS, TaskDraft, TaskTemplate
 from edgectl.config.task_rules import check_draft, check_template
@@ -20,7 +21,16 @@ from edgectl.model.inventory import Inventory
 from edgectl.model.task import HostRules, Need, Task
 from edgectl.names import natural_key
 
-_KEYS_READ_ELSEWHERE = ("for_each", "robot", "robots", "needs", "hosts", "on_unreachable", *COMPANION_KEYS)
+_KEYS_READ_ELSEWHERE = (
+    "for_each",
+    "robot",
+    "robots",
+    "needs",
+    "hosts",
+    "on_unreachable",
+    "on_unhealthy",
+    *COMPANION_KEYS,
+)
 
 
 def expand_templates(
@@ -50,6 +60,7 @@ def expand_templates(
         hosts = resolve_host_rules(drafts[name], fleet, problems)
         tasks[name] = _build_task(drafts[name], needs[name], hosts, companions.get(name, {}), fleet)
     check_placement_rules(tasks, drafts, fleet, problems)
+    check_ros(tasks, drafts, inventory, problems)
     return tasks
 
 
@@ -125,11 +136,16 @@ def _build_task(
     }
     if len(draft.robots) == 1:
         values = fill_placeholders(values, fleet.hosts[draft.robots[0]])
-    policy, after = draft.template.fields.values.get("on_unreachable", (None, None))
-    values |= {"on_unreachable": policy} if policy is not None else {}
+    unreachable, after = draft.template.fields.values.get("on_unreachable", (None, None))
+    values |= {"on_unreachable": unreachable} if unreachable is not None else {}
     values |= {"replace_after": after} if after is not None else {}
     values |= companions
     values.setdefault("command", "")
+    if "alive" in values:
+        # Otherwise a restart that did not help would count as a success, and be repeated for ever.
+        values.setdefault("ready", values["alive"].check)
+        policy = draft.template.fields.values.get("on_unhealthy")
+        values["alive"] = replace(values["alive"], **({"on_unhealthy": policy} if policy else {}))
     task = Task(
         name=draft.name,
         template=draft.template.name,

@@ -19,6 +19,8 @@ from edgectl.config.fields import (
 from edgectl.config.fleet_name import derive_fleet_name
 from edgectl.config.node import Node
 from edgectl.config.problems import ProblemCode, Problems
+from edgectl.config.ros_rules import check_host_addresses
+from edgectl.config.ros_settings import build_ros_settings, read_ros, resolve_master
 from edgectl.config.scalars import (
     INVALID,
     NAME_PATTERN,
@@ -126,6 +128,7 @@ DEFAULTS_KEYS: Mapping[str, NodeReader] = {
     "env_command": read_argument_vector,
     "prelude": read_text_or_empty,
     "runtime": enum_reader(Runtime),
+    "ros": read_ros,
 }
 EDGE_KEYS: Mapping[str, NodeReader] = {
     "host": _read_address,
@@ -186,7 +189,15 @@ def read_inventory(node: Node, problems: Problems) -> Inventory:
             "the inventory names no host",
             "add edges: {edge1: {host: 192.168.1.20}}",
         )
-    ordered = {key: hosts[key] for key in sorted(hosts, key=natural_key)}
+    ordered = {key: resolve_master(hosts[key], hosts) for key in sorted(hosts, key=natural_key)}
+    for host, message in check_host_addresses(ordered):
+        problems.add(
+            top.at("edges" if host.role is Role.EDGE else "robots").key_mark(host.name),
+            ProblemCode.ROS,
+            message,
+            "state ros: {version: 1, master: HOST} and remove the variable: edgectl then derives the address",
+            warning=True,
+        )
     links = _read_link_entries(top.at("links"), ordered, problems) if "links" in top else {}
     fleet = top.values.get("fleet") or derive_fleet_name(Path(node.mark.source.file))
     if "coordination" in top and "fleet" not in top:
@@ -272,6 +283,7 @@ def _read_host_entry(
         values[mapping] = {**defaults.get(mapping, {}), **fields.values.get(mapping, {})}
     if "limits" in defaults and "limits" in fields.values:
         values["limits"] = _merge_limits(fields, defaults["limits"])
+    values["ros"] = build_ros_settings(fields, defaults.get("ros"), problems)
     local = values.get("connection") is Connection.LOCAL
     if "host" not in fields and isinstance(node.value, dict) and not local:
         problems.add(

@@ -1,7 +1,7 @@
 """Resolution of ``needs`` between expanded tasks, and detection of cycles."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from graphlib import CycleError, TopologicalSorter
 
 from edgectl.config.node import Node
@@ -44,9 +44,14 @@ def resolve_needs(
         found: dict[str, Need] = {}
         for need, node in draft.template.fields.values.get("needs", ()):
             for target in resolve_task_name(draft, need.task, node, names, problems):
+                if need.restart is not None and not drafts[target].template.fields.values.get(
+                    "managed", True
+                ):
+                    message = f"edgectl does not start {target}, so it cannot tell its restarts"
+                    problems.add(node.mark, ProblemCode.CONTRADICTION, message, "remove restart: with")
                 if target in found:
                     problems.add(node.mark, ProblemCode.TAKEN, f"{target} is needed twice", "name it once")
-                found[target] = Need(task=target, until=need.until)
+                found[target] = replace(need, task=target)
                 places[name, target] = node
         needs[name] = tuple(found[target] for target in sorted(found, key=natural_key))
     _report_cycles({name: [need.task for need in found] for name, found in needs.items()}, places, problems)

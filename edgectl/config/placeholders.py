@@ -8,8 +8,9 @@ from dataclasses import replace
 from typing import Any
 
 from edgectl.model.inventory import Host
+from edgectl.model.ros import RosCheck
 from edgectl.model.secret import Secret
-from edgectl.model.task import Check, DetectRule, HandoffContract
+from edgectl.model.task import AliveRule, Check, DetectRule, HandoffContract
 
 _PLACEHOLDER = re.compile(r"(?<!\$)\{(robot|robot_host)\}")
 
@@ -22,7 +23,10 @@ def has_placeholder(value: object) -> bool:
         return _PLACEHOLDER.search(value) is not None
     if isinstance(value, Mapping):
         return any(has_placeholder(inner) for inner in value.values())
-    names = ("command", "cmdline", "ros_node", "safe_when", "hold", "release")
+    names = (
+        *("command", "cmdline", "ros_node", "safe_when", "hold", "release"),
+        *("check", "ros", "node", "topic", "name", "service"),
+    )
     return any(has_placeholder(getattr(value, name)) for name in names if hasattr(value, name))
 
 
@@ -30,7 +34,7 @@ def fill_placeholders(values: Mapping[str, Any], robot: Host) -> dict[str, Any]:
     """Fill in the placeholders of ``robot`` in a task's fields."""
     names = {"robot": robot.name, "robot_host": robot.host}
     result = dict(values)
-    for key in ("command", "env", "workdir", "ready", "done_when", "handoff", "detect"):
+    for key in ("command", "env", "workdir", "ready", "alive", "done_when", "handoff", "detect"):
         if key in result and has_placeholder(result[key]):
             result[key] = _fill_value(result[key], names)
     return result
@@ -44,7 +48,10 @@ def _fill_value(value: Any, names: Mapping[str, str]) -> Any:  # noqa: ANN401
     if isinstance(value, Mapping):
         return {key: _fill_value(inner, names) for key, inner in value.items()}
     if isinstance(value, Check):
-        return replace(value, command=_fill_value(value.command, names))
+        ros = _fill_optional(value.ros, _fill_question, names)
+        return replace(value, command=_fill_value(value.command, names), ros=ros)
+    if isinstance(value, AliveRule):
+        return replace(value, check=_fill_value(value.check, names))
     if isinstance(value, DetectRule):
         escaped = {key: re.escape(name) for key, name in names.items()}
         return DetectRule(
@@ -52,6 +59,15 @@ def _fill_value(value: Any, names: Mapping[str, str]) -> Any:  # noqa: ANN401
             ros_node=_fill_optional(value.ros_node, _fill_value, names),
         )
     return _fill_hooks(value, names)
+
+
+def _fill_question(value: RosCheck, names: Mapping[str, str]) -> RosCheck:
+    def fill(text: str, names: Mapping[str, str]) -> str:
+        return str(_fill_value(text, names))
+
+    topic = value.topic and replace(value.topic, name=fill(value.topic.name, names))
+    node, service = (_fill_optional(text, fill, names) for text in (value.node, value.service))
+    return replace(value, node=node, topic=topic, service=service)
 
 
 def _fill_hooks(handoff: HandoffContract, names: Mapping[str, str]) -> HandoffContract:

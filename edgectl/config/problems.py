@@ -58,6 +58,7 @@ class ProblemCode(StrEnum):
     NO_IDENTITY_FILE = "EC105"
     BACKGROUND = "EC106"
     NOT_IMPORTED = "EC107"
+    ROS = "EC108"
     JSON = "EC201"
     DOCUMENT = "EC202"
 
@@ -68,6 +69,7 @@ _ONCE_PER_PLACE = (
     ProblemCode.PLACEHOLDER,
     ProblemCode.NEVER_ANSWERED,
     ProblemCode.BACKGROUND,
+    ProblemCode.ROS,
     ProblemCode.CYCLE,
     ProblemCode.NAME,
 )

@@ -14,6 +14,7 @@ from edgectl.model.task import (
     CheckLocation,
     Demand,
     OnboardRule,
+    OnUnhealthy,
     RestartPolicy,
     TaskKind,
     UnreachablePolicy,
@@ -63,8 +64,28 @@ def _check_managed(template: TaskTemplate, problems: Problems) -> None:
         problems.add(
             fields.node.key_mark("restart"), ProblemCode.CONTRADICTION, message, "write restart: on-failure"
         )
+    _check_on_unhealthy(fields, problems)
     _check_self_fence(fields, problems)
     _check_foreground(fields, problems)
+
+
+def _check_on_unhealthy(fields: Fields, problems: Problems) -> None:
+    if "on_unhealthy" in fields and "alive" not in fields:
+        message = "on_unhealthy without alive: nothing asks whether the task is alive"
+        problems.add(
+            fields.node.key_mark("on_unhealthy"),
+            ProblemCode.CONTRADICTION,
+            message,
+            "add alive: {ros_node: /NAME}",
+        )
+    never = fields.values.get("restart") is RestartPolicy.NEVER
+    if fields.values.get("on_unhealthy") is OnUnhealthy.RESTART and never:
+        problems.add(
+            fields.node.key_mark("on_unhealthy"),
+            ProblemCode.CONTRADICTION,
+            "on_unhealthy: restart and restart: never do not go together",
+            "write on_unhealthy: report, or restart: on-failure",
+        )
 
 
 def _check_foreground(fields: Fields, problems: Problems) -> None:
@@ -113,6 +134,13 @@ def _check_unmanaged(template: TaskTemplate, problems: Problems) -> None:
             ProblemCode.CONTRADICTION,
             message,
             "remove command, or remove managed: false",
+        )
+    if "alive" in fields:
+        problems.add(
+            fields.node.key_mark("alive"),
+            ProblemCode.CONTRADICTION,
+            "alive is asked by the supervisor of a task, and a task with managed: false has none",
+            "remove alive, or remove managed: false",
         )
     if "detect" not in fields:
         message = f"task {template.name} has managed: false, so it needs detect"
@@ -201,7 +229,7 @@ def _check_placeholders(draft: TaskDraft, problems: Problems) -> None:
     if len(draft.robots) == 1:
         return
     fields = draft.template.fields
-    for key in ("command", "env", "workdir", "ready", "done_when", "handoff", "detect"):
+    for key in ("command", "env", "workdir", "ready", "alive", "done_when", "handoff", "detect"):
         if has_placeholder(fields.values.get(key)):
             message = (
                 "{robot} and {robot_host} need exactly one robot, "

@@ -6,6 +6,8 @@ from urllib.parse import urlsplit
 
 from edgectl.model.diagnosis import Finding, HostFacts, Severity
 from edgectl.model.inventory import Connection, Host, Inventory, Role
+from edgectl.model.ros import RosSettings
+from edgectl.units import format_bytes
 
 MASTER, DOMAIN, RMW = "ROS_MASTER_URI", "ROS_DOMAIN_ID", "RMW_IMPLEMENTATION"
 ROS_VARIABLES = (MASTER, DOMAIN, RMW)
@@ -13,6 +15,8 @@ ROS_VARIABLES = (MASTER, DOMAIN, RMW)
 _DEFAULTS = {MASTER: "", DOMAIN: "0", RMW: "rmw_fastrtps_cpp"}
 _LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 _FATAL_VARIABLES = (MASTER, DOMAIN)
+# What images and point clouds need of the kernel (the tuning pages of ROS 2).
+_RECEIVE_BYTES, _FRAGMENT_BYTES = 8.0 * 2**20, 128.0 * 2**20
 
 FindingsByHost = dict[str, list[Finding]]
 
@@ -28,7 +32,9 @@ def diagnose_ros(inventory: Inventory, facts: Mapping[str, HostFacts]) -> Findin
         seen = {name: facts[name].surroundings.variables.get(variable, "") for name in hosts}
         for name, finding in _compare_variable(variable, hosts, seen).items():
             found[name].append(finding)
-    for name in hosts:
+    for name, host in hosts.items():
+        if host.ros is not None:
+            found[name] += _diagnose_ros_host(host, host.ros, facts[name])
         if not found[name] and (text := _format_ros_variables(facts[name])):
             found[name] = [Finding(host=name, check="ros", level=Severity.OK, message=text)]
     return found
@@ -125,3 +131,81 @@ def _diagnose_loopback_masters(hosts: Mapping[str, Host], asked: Mapping[str, st
         for name, uri in asked.items()
         if _is_loopback_uri(uri)
     }
+
+
+def _diagnose_ros_host(host: Host, ros: RosSettings, facts: HostFacts) -> list[Finding]:
+    """What a host lacks of the ROS that the inventory states for it."""
+    seen = facts.ros
+    found = [
+        _build_failure(
+            host,
+            f"set-up file {path} cannot be read, so no task can start",
+            f"correct setup in ros: of {host.name} in the inventory, or install ROS on {host.name}",
+        )
+        for path in seen.missing_files
+    ]
+    found += [
+        _build_failure(
+            host,
+            f"package {package}, which a task runs, is not found",
+            f"install or build it on {host.name} and source its workspace in ros: {{setup: [..]}}; "
+            f"or keep the task away: hosts: {{never: [{host.name}]}}",
+        )
+        for package in seen.missing_packages
+    ]
+    return [*found, *(_diagnose_dds if ros.version == 2 else _diagnose_addresses)(host, ros, facts)]
+
+
+def _diagnose_addresses(host: Host, _ros: RosSettings, facts: HostFacts) -> list[Finding]:
+    """A node of ROS 1 announces one address; robots on two networks need two."""
+    ways: dict[str, str] = {}
+    for robot, address in facts.ros.addresses.items():
+        ways.setdefault(address, robot)
+    if len(ways) < 2:
+        return []
+    shown = ", ".join(f"{address} to {robot}" for address, robot in ways.items())
+    message = f"has several addresses on its ways to the robots ({shown}), and a node of ROS 1 announces one"
+    remedy = "give each task one robot, or state ROS_IP in its env; else join the robots to one network"
+    return [_build_failure(host, message, remedy, Severity.WARNING)]
+
+
+def _build_failure(host: Host, message: str, remedy: str, level: Severity = Severity.FAILED) -> Finding:
+    return Finding(host=host.name, check="ros", level=level, message=message, remedy=remedy)
+
+
+def _diagnose_dds(host: Host, ros: RosSettings, facts: HostFacts) -> list[Finding]:
+    """What the network of a host does to the discovery and the large messages of DDS."""
+    seen, found = facts.ros, []
+    ways = {link.interface for link in facts.links.values() if link.interface}
+    deaf = [name for name in seen.no_multicast if name in ways]
+    if deaf and ros.discovery_server is None:
+        message = f"{deaf[0]}, the way to the robots, has no multicast: nodes do not find each other"
+        found.append(
+            _build_failure(host, message, "state ros: {discovery_server: ..}, or static peers in env")
+        )
+    if len(seen.interfaces) > 1:
+        message = f"DDS announces {len(seen.interfaces)} interfaces: {', '.join(seen.interfaces)}"
+        remedy = (
+            f"name the one to the robots ({', '.join(sorted(ways)) or 'ip route'}) in the profile of the RMW"
+        )
+        found.append(_build_failure(host, message, remedy, Severity.WARNING))
+    small = [
+        (name, value, wanted)
+        for name, value, wanted in (
+            ("net.core.rmem_max", seen.receive_bytes, _RECEIVE_BYTES),
+            ("net.ipv4.ipfrag_high_thresh", seen.fragment_bytes, _FRAGMENT_BYTES),
+        )
+        if value is not None and value < wanted
+    ]
+    if small:
+        message = ", ".join(f"{name} is {format_bytes(value)}" for name, value, _ in small)
+        remedy = " ".join(f"{name}={wanted:.0f}" for name, _, wanted in small)
+        found.append(
+            _build_failure(
+                host,
+                f"{message}: large messages are lost",
+                f"on {host.name}: sudo sysctl -w {remedy}",
+                Severity.WARNING,
+            )
+        )
+    return found

@@ -1,6 +1,6 @@
 """The phases of each action and their requests, as one list: apply performs it, a dry run prints it. Pure."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from edgectl.errors import HostError
@@ -230,12 +230,28 @@ def _build_need_phases(
 ) -> PlannedPhases:
     """A wait for each predecessor that neither the snapshot nor this plan settles."""
     steps = {step.task: step for step in plan.steps}
-    return tuple(
+    known = [need for need in needs if need.task in steps and need.task in tasks.tasks]
+    waits = tuple(
         _build_need_phase(need, tasks.tasks[need.task], steps[need.task], inventory, plan)
+        for need in known
+        if not _is_predecessor_settled(need, tasks.tasks[need.task], steps[need.task], plan)
+    )
+    return (*waits, *_build_run_phases_of_needs(known, steps, inventory))
+
+
+def _build_run_phases_of_needs(
+    needs: Iterable[Need], steps: Mapping[str, Step], inventory: Inventory
+) -> PlannedPhases:
+    """Ask which run of each predecessor the task starts with, where it restarts with it."""
+    hosts = {need.task: inventory.hosts.get(steps[need.task].decision.host or "") for need in needs}
+    return tuple(
+        PlannedPhase(
+            phase=Phase.NEEDS,
+            task=need.task,
+            requests=(PlannedRequest(host=host, body=host_requests.build_status_request(host, need.task)),),
+        )
         for need in needs
-        if need.task in steps
-        and need.task in tasks.tasks
-        and not _is_predecessor_settled(need, tasks.tasks[need.task], steps[need.task], plan)
+        if need.restart is not None and (host := hosts[need.task]) is not None
     )
 
 
@@ -259,7 +275,7 @@ def _is_predecessor_settled(need: Need, task: Task, step: Step, plan: Plan) -> b
     if sample.state is TaskState.RUNNING and task.ready is None and need.until is NeedCondition.READY:
         return plan.snapshot.taken_at - sample.started_at >= get_up_time(task)
     return sample.state is TaskState.READY or (
-        sample.state is TaskState.RUNNING and need.until is NeedCondition.RUNNING
+        sample.state in (TaskState.RUNNING, TaskState.UNHEALTHY) and need.until is NeedCondition.RUNNING
     )
 
 

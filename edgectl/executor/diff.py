@@ -1,6 +1,6 @@
 """First half of Algorithm 2: an assignment against the running tasks -> the steps of a plan. Pure."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 from edgectl.model.assignment import Assignment, Decision, Reason, Verdict
@@ -11,6 +11,7 @@ from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
 from edgectl.model.task import Tasks
 from edgectl.names import natural_key
+from edgectl.rules.need_runs import find_restarted_need, list_followed_needs, mark_run
 from edgectl.rules.overuse import find_overuses
 from edgectl.rules.task_origin import find_task_file, is_left_alone
 
@@ -49,15 +50,58 @@ def diff_assignment(
     No unmanaged task is ever stopped.
     """
     found = _collect_managed_tasks(snapshot)
-    steps = [
-        _build_step(
-            decision, tasks, found.get(decision.task, {}) if _is_managed_decision(decision, tasks) else {}
-        )
-        for decision in assignment.decisions
-    ]
+    steps = _follow_needs(
+        [
+            _build_step(
+                decision, tasks, found.get(decision.task, {}) if _is_managed_decision(decision, tasks) else {}
+            )
+            for decision in assignment.decisions
+        ],
+        tasks,
+        found,
+    )
     others = _list_tasks_left_alone(assignment.policy, tasks, snapshot, manager)
     left = sorted(found.keys() - tasks.tasks.keys() - others.keys(), key=natural_key)
     return (*steps, *(_build_removal_step(name, found[name], tasks, manager) for name in left))
+
+
+def _follow_needs(
+    steps: Sequence[Step], tasks: Tasks, found: Mapping[str, SamplesByHost]
+) -> tuple[Step, ...]:
+    """``steps``, in sequence order, with a restart for each kept task whose predecessor is restarted here,
+    or was since the task was started (``restart: with``).
+    """
+    marks, followed = _mark_runs(steps, found), dict[str, Step]()
+    for step in steps:
+        task = tasks.tasks.get(step.task)
+        needs = list_followed_needs(task) if task is not None and step.action is Action.KEEP else ()
+        sample = found.get(step.task, {}).get(step.decision.host or "")
+        cause = None
+        if needs and task is not None and sample is not None:
+            begun = (need.task for need in needs if need.task in followed and _starts(followed[need.task]))
+            cause = next(begun, None) or find_restarted_need(task, sample.needed, marks)
+        followed[step.task] = step if cause is None else _restart_with(step, cause, found[step.task])
+    return tuple(followed.values())
+
+
+def _starts(step: Step) -> bool:
+    return step.action in (Action.START, Action.MOVE, Action.RESTART)
+
+
+def _mark_runs(steps: Sequence[Step], found: Mapping[str, SamplesByHost]) -> dict[str, str]:
+    """The mark of the run of each task that lives where it is decided to be."""
+    samples = {step.task: found.get(step.task, {}).get(step.decision.host or "") for step in steps}
+    return {
+        name: mark_run(sample.instance, sample.restarts)
+        for name, sample in samples.items()
+        if sample is not None and sample.state.alive
+    }
+
+
+def _restart_with(step: Step, cause: str, found: SamplesByHost) -> Step:
+    decision = replace(step.decision, reason=Reason.NEED_RESTARTED, subject=cause)
+    instances = {host: sample.instance for host, sample in found.items()}
+    return replace(step, decision=decision, action=Action.RESTART, instances=instances)
 
 
 def _list_tasks_left_alone(

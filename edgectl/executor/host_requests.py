@@ -5,8 +5,9 @@ from collections.abc import Mapping
 
 from edgectl.agent.link import protocol
 from edgectl.model.inventory import Host
-from edgectl.model.task import Check, CheckLocation, StopRule, Task
+from edgectl.model.task import AliveRule, Check, CheckLocation, OnUnhealthy, StopRule, Task
 from edgectl.rules.environment import drop_secrets, merge_environment
+from edgectl.rules.ros import encode_question, encode_ros
 
 Request = dict[str, object]
 Hosts = Mapping[str, Host]
@@ -33,7 +34,9 @@ def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
         "kind": task.kind.value,
         "restart": task.restart.value,
         "stop": encode_stop_rule(task.stop),
-        "ready": None if ready is None else {"command": ready.command, "timeout_s": ready.timeout},
+        "ready": None if ready is None else _encode_check(ready, host),
+        "alive": None if task.alive is None else _encode_alive(task.alive, host),
+        "ros": encode_ros(task, host, hosts),
         "log": {"max_bytes": int(task.log.max_size), "files": task.log.files},
         "limits": {"cpu": task.limits.cpu, "memory": task.limits.memory},
         "runtime": host.runtime.value,
@@ -41,6 +44,7 @@ def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
         "spec_hash": task.spec_hash,
         "fields": dict(task.spec_fields),
         "file": task.file,
+        "needed": "",
     }
     return {
         "op": protocol.OP_START,
@@ -54,6 +58,18 @@ def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
     }
 
 
+def _encode_check(check: Check, host: Host) -> Request:
+    return {**encode_question(check, host), "timeout_s": check.timeout}
+
+
+def _encode_alive(rule: AliveRule, host: Host) -> Request:
+    return {
+        **_encode_check(rule.check, host),
+        "after_s": rule.after,
+        "restart": rule.on_unhealthy is OnUnhealthy.RESTART,
+    }
+
+
 def build_takeover_request(task: Task, host: Host, hosts: Hosts) -> Request:
     """Give the living instance of ``task`` on ``host``, whose supervisor was lost, a new one; completed as a
     start request is.
@@ -62,15 +78,21 @@ def build_takeover_request(task: Task, host: Host, hosts: Hosts) -> Request:
 
 
 def fill_start_request(
-    request: Request, *, instance: str, generation: int, manager: str, variables: Mapping[str, str]
+    request: Request,
+    *,
+    instance: str,
+    generation: int,
+    manager: str,
+    variables: Mapping[str, str],
+    needed: str = "",
 ) -> Request:
     """A start request as it is sent.
 
     ``manager``: user and machine, for people who find the task on the host. ``variables``: its environment
-    with the secrets in clear.
+    with the secrets in clear. ``needed``: marks of the runs of its predecessors.
     """
     spec = request["spec"]
-    filled = {**spec, "env": dict(variables)} if isinstance(spec, dict) else spec
+    filled = {**spec, "env": dict(variables), "needed": needed} if isinstance(spec, dict) else spec
     return {**request, "instance": instance, "generation": generation, "manager": manager, "spec": filled}
 
 
@@ -133,8 +155,9 @@ def build_check_request(
         "op": protocol.OP_CHECK,
         "fleet": host.fleet,
         "host": host.name,
-        "command": rule.command,
+        **encode_question(rule, host),
         "prelude": host.prelude,
+        "ros": encode_ros(task, host, hosts),
         "env": drop_secrets(merge_environment(task, host, hosts)),
         "timeout_s": rule.timeout if timeout_s is None else timeout_s,
     }

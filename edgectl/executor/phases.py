@@ -15,6 +15,7 @@ from edgectl.executor.step_run import RunContext, StepRun
 from edgectl.model.result import Phase
 from edgectl.model.task import CheckLocation, Task, TaskKind
 from edgectl.model.text import clean_text
+from edgectl.rules.need_runs import join_marks, mark_run
 from edgectl.state.lock import describe_manager
 
 # Beyond the grace: SIGKILL, the sweeps that prove the end, and the way back.
@@ -46,8 +47,10 @@ def perform_phase(act: StepRun, planned: PlannedPhase, variables: Mapping[str, s
     match planned.phase:
         case Phase.REACH:
             _send(act.run, planned.requests[0])
-        case Phase.NEEDS:
+        case Phase.NEEDS if planned.timeout_s:
             _wait_for_predecessor(act.run, planned)
+        case Phase.NEEDS:
+            _note_run_of_need(act, planned)
         case Phase.SAFE:
             _wait_until_safe(act, planned)
         case Phase.HOLD | Phase.RELEASE:
@@ -116,6 +119,7 @@ def _start_task(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str
         generation=generation,
         manager=describe_manager(),
         variables=variables,
+        needed=join_marks(act.task, act.needed) if act.task is not None else "",
     )
     with act.phase(planned.phase, host.name):
         answer = act.run.ask(host, body)
@@ -148,9 +152,9 @@ def _wait_until_ready(act: StepRun, planned: PlannedPhase) -> None:
         if elsewhere:
             check, mark = elsewhere
             if not _repeat_check(act.run, check, deadline):
+                asked = act.task.ready.describe() if act.task is not None and act.task.ready else ""
                 raise HostError(
-                    f"the check on {check.host.name} did not pass within {check.timeout_s:.3g} s: "
-                    f"{check.body['command']}",
+                    f"the check on {check.host.name} did not pass within {check.timeout_s:.3g} s: {asked}",
                     host=check.host.name,
                 )
             _send(act.run, mark, instance=act.started)
@@ -170,7 +174,7 @@ def _wait_on_host(run: RunContext, planned: PlannedPhase, body: Request, deadlin
         entry = run.ask(host, {**body, "timeout_s": piece}, timeout=piece + run.options.call_s)
         if _is_ready(task, entry, checked=checked):
             return
-        if entry.get("state") not in (protocol.STARTING, protocol.RUNNING):
+        if entry.get("state") not in (protocol.STARTING, protocol.RUNNING, protocol.UNHEALTHY):
             raise HostError(f"{task.name} {_describe_end(entry)} on {host.name}", hint=hint, host=host.name)
         if time.monotonic() >= deadline:
             why = f": {clean_text(entry['detail'], _MAX_DETAIL)}" if entry.get("detail") else ""
@@ -262,6 +266,17 @@ def _wait_for_predecessor(run: RunContext, planned: PlannedPhase) -> None:
         if time.monotonic() >= deadline:
             raise HostError(f"waits for {planned.task} to complete", hint="apply again once it has")
         time.sleep(run.options.poll_s)
+
+
+def _note_run_of_need(act: StepRun, planned: PlannedPhase) -> None:
+    """Note with which run of a predecessor the task starts."""
+    entries = _send(act.run, planned.requests[0]).get("tasks")
+    entry = entries.get(planned.task) if isinstance(entries, dict) else None
+    if isinstance(entry, dict) and entry.get("state") in protocol.ALIVE_STATES:
+        restarts = entry.get("restarts")
+        act.needed[planned.task] = mark_run(
+            str(entry.get("instance")), restarts if isinstance(restarts, int) else 0
+        )
 
 
 def _is_reported_completed(answer: Request, name: str) -> bool:

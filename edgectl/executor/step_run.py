@@ -148,13 +148,16 @@ def _encode_phase_entry(phase: PhaseResult) -> dict[str, object]:
 
 @dataclass(slots=True, kw_only=True)
 class StepRun:
-    """One step from its intent to its result. ``started``: the instance that was started last."""
+    """One step from its intent to its result. ``started``: the instance that was started last. ``needed``:
+    marks of the runs of predecessors, by name.
+    """
 
     run: RunContext
     step: Step
     phases: list[PhaseResult] = field(default_factory=list)
     begun: bool = False
     started: str = ""
+    needed: dict[str, str] = field(default_factory=dict)
 
     @property
     def name(self) -> str:

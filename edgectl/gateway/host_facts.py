@@ -1,7 +1,7 @@
 """Facts of hosts for doctor: requests to all hosts, and strict decoding of the replies."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -16,10 +16,19 @@ from edgectl.gateway.replies import (
     RouteReply,
     decode_reply,
 )
-from edgectl.model.diagnosis import Disk, HostFacts, LinkFacts, Logind, ShellEnvironment, UnreachableHost
+from edgectl.model.diagnosis import (
+    Disk,
+    HostFacts,
+    LinkFacts,
+    Logind,
+    RosFacts,
+    ShellEnvironment,
+    UnreachableHost,
+)
 from edgectl.model.inventory import Host, Inventory, Role
 from edgectl.model.text import escape_unprintable
-from edgectl.rules.environment import drop_secrets
+from edgectl.rules.environment import drop_secrets, merge_host_environment
+from edgectl.rules.ros import encode_host_ros
 from edgectl.transport.base import Transport
 
 
@@ -59,6 +68,7 @@ def decode_host_facts(document: ReplyDocument, context: ReplyContext, asked: Sen
         total_bytes=reply.memory.total_bytes,
         used_bytes=reply.memory.used_bytes,
         surroundings=ShellEnvironment(**_to_fields(reply.surroundings)),
+        ros=RosFacts(**_to_fields(reply.ros)),
         links={
             robot: _build_link_facts(robot, address, reply.links.get(robot, RouteReply()), context)
             for robot, address in asked.addresses.items()
@@ -92,11 +102,13 @@ _OVERHEAD_S = 4.0
 class HostFactsOptions:
     """``timeout`` (s): from the first packet to the last byte, per host.
 
-    ``measured``: link capacities in bytes/s by (edge, robot).
+    ``measured``: link capacities in bytes/s by (edge, robot). ``packages``: of ROS, those that each host
+    needs.
     """
 
     timeout: float = 15.0
     measured: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    packages: Mapping[str, Iterable[str]] = field(default_factory=dict)
 
 
 def collect_host_facts(
@@ -114,7 +126,7 @@ def collect_host_facts(
         return addresses if host.role is Role.EDGE else {}
 
     def build(host: Host, left: float) -> dict[str, object]:
-        return _build_doctor_request(host, links_of(host), left)
+        return _build_doctor_request(host, links_of(host), options.packages.get(host.name, ()), left)
 
     def decode(reply: HostReply) -> HostFacts:
         answered_at = clock()
@@ -147,13 +159,17 @@ def _build_facts_context(
     )
 
 
-def _build_doctor_request(host: Host, links: Mapping[str, str], timeout: float) -> dict[str, object]:
+def _build_doctor_request(
+    host: Host, links: Mapping[str, str], packages: Iterable[str], timeout: float
+) -> dict[str, object]:
     return {
         "op": protocol.OP_DOCTOR,
         "fleet": host.fleet,
         "host": host.name,
         "links": [{"robot": robot, "address": address} for robot, address in links.items()],
         "prelude": host.prelude,
-        "env": drop_secrets(host.env),
+        "ros": encode_host_ros(host, links.values()),
+        "packages": list(packages),
+        "env": drop_secrets(merge_host_environment(host)),
         "timeout_s": max(1.0, timeout - _OVERHEAD_S),
     }

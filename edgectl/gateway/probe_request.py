@@ -6,6 +6,7 @@ from edgectl.agent.link import protocol
 from edgectl.model.inventory import Host, Inventory, Role
 from edgectl.model.task import Check, CheckLocation, DetectRule, Task, Tasks
 from edgectl.rules.environment import drop_secrets, merge_environment
+from edgectl.rules.ros import encode_question, encode_ros
 
 # Time of a probe besides its window and its checks.
 _OVERHEAD_S = 4.0
@@ -106,8 +107,9 @@ def _encode_done_check(
 ) -> dict[str, object]:
     return {
         "task": task.name,
-        "command": check.command,
+        **encode_question(check, host),
         "prelude": host.prelude,
+        "ros": encode_ros(task, host, inventory.hosts),
         "env": drop_secrets(merge_environment(task, host, inventory.hosts)),
         "timeout_s": min(check.timeout, longest),
         "always": check.on is CheckLocation.ROBOT,

@@ -123,6 +123,7 @@ class TaskReply:
     file: Text = ""
     orphaned: bool = False
     adoptable: bool = False
+    needed: Text = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -251,6 +252,19 @@ class ShellReply:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RosReply:
+    """What a host has of ROS, as ``model.diagnosis.RosFacts``."""
+
+    missing_files: Annotated[tuple[Text, ...], ALONE] = ()
+    missing_packages: Annotated[tuple[Text, ...], ALONE] = ()
+    addresses: Annotated[Mapping[Text, Text], ALONE] = field(default_factory=dict)
+    interfaces: Annotated[tuple[Text, ...], ALONE] = ()
+    no_multicast: Annotated[tuple[Text, ...], ALONE] = ()
+    receive_bytes: Amount | None = None
+    fragment_bytes: Amount | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RouteReply:
     """The way to a robot, as ``model.diagnosis.LinkFacts``."""
 
@@ -272,6 +286,7 @@ class DoctorReply:
     psutil: bool = False
     logind: LogindReply = LogindReply()
     surroundings: ShellReply = ShellReply()
+    ros: RosReply = RosReply()
     links: Annotated[Mapping[Text, RouteReply], ALONE] = field(default_factory=dict)
 
 

@@ -115,6 +115,7 @@ def _decode_task(name: str, entry: object, answered_at: float) -> TaskSample:
         file=reply.file,
         orphaned=reply.orphaned,
         adoptable=reply.adoptable,
+        needed=reply.needed,
     )
 
 

@@ -98,7 +98,8 @@ class _Reader:
             message = f"the root element is {root.tag}, not launch"
             self.launch.problems.add(root.mark, ProblemCode.ELEMENT, message, "name a launch file")
             return
-        self.check_attributes(root)
+        with collect_fault(self.launch.problems):
+            self.check_attributes(root)
         if "deprecated" in root.attributes:
             self.launch.note(root.mark, f"the file is deprecated: {root.attributes['deprecated'].text}")
         self.read_children(root, scope)

@@ -215,6 +215,7 @@ class Reason(StrEnum):
     DUPLICATE = "duplicate"
     SPEC_CHANGED = "spec-changed"
     ORPHANED = "orphaned"
+    NEED_RESTARTED = "need-restarted"
     OPERATOR = "operator"
     ROLLBACK = "rollback"
 

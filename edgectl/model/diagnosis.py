@@ -103,6 +103,25 @@ class LinkFacts:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RosFacts:
+    """What a host with ``ros`` has of it.
+
+    ``missing_files``: set-up files that cannot be read; ``missing_packages``: those of the tasks that are not
+    found. ``addresses``: the host's own address on its way to each robot. ``interfaces``: those that are up,
+    without the loopback one; ``no_multicast``: those of them that have none. The others are limits of the
+    kernel in bytes, None where it has none.
+    """
+
+    missing_files: tuple[str, ...] = ()
+    missing_packages: tuple[str, ...] = ()
+    addresses: Mapping[str, str] = field(default_factory=dict)
+    interfaces: tuple[str, ...] = ()
+    no_multicast: tuple[str, ...] = ()
+    receive_bytes: float | None = None
+    fragment_bytes: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HostFacts:
     """Facts of one host that answered.
 
@@ -119,6 +138,7 @@ class HostFacts:
     total_bytes: float
     used_bytes: float
     surroundings: ShellEnvironment = ShellEnvironment()
+    ros: RosFacts = RosFacts()
     links: Mapping[str, LinkFacts] = field(default_factory=dict)
 
 

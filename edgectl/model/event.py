@@ -19,6 +19,7 @@ class EventKind(StrEnum):
     TASK_COMPLETED = "task-completed"
     TASK_FAILED = "task-failed"
     TASK_CRASHLOOP = "task-crashloop"
+    TASK_UNHEALTHY = "task-unhealthy"
     TASK_LOST = "task-lost"
     TASK_DEFERRED = "task-deferred"
     TASK_UNPLACED = "task-unplaced"

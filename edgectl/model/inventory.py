@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from edgectl.model.resource import HOST_RESOURCES, MEASURED_HOST_RESOURCES, ResourceMap
+from edgectl.model.ros import RosSettings
 
 # Fleet of hosts that no inventory file states.
 UNNAMED_FLEET = "unnamed"
@@ -62,7 +63,7 @@ class Host:
     """One edge or robot.
 
     ``fleet`` is the owner of what this inventory runs there: requests carry it, and the host keeps the tasks
-    of different fleets apart.
+    of different fleets apart. ``ros``: what its nodes need to find others; None where nothing is known of it.
 
     ``host`` is an address or an ssh_config alias. A declared ``capacity`` of what is measured otherwise makes
     the host a slice: its load is ``base`` plus its own process trees. ``onboard`` (robots) makes the robot a
@@ -90,6 +91,7 @@ class Host:
     runtime: Runtime = Runtime.AUTO
     onboard: bool = False
     probe: bool = True
+    ros: RosSettings | None = None
     fleet: str = UNNAMED_FLEET
 
     @property

@@ -28,13 +28,14 @@ class TaskState(StrEnum):
     STARTING = protocol.STARTING
     RUNNING = protocol.RUNNING
     READY = protocol.READY
+    UNHEALTHY = protocol.UNHEALTHY
     COMPLETED = protocol.COMPLETED
     FAILED = protocol.FAILED
     CRASHLOOP = protocol.CRASHLOOP
 
     @property
     def alive(self) -> bool:
-        """Whether the task occupies its host (starting, running or ready)."""
+        """Whether the task occupies its host (starting, running, ready or unhealthy)."""
         return self in protocol.ALIVE_STATES
 
 
@@ -100,6 +101,7 @@ class TaskSample:
     itself: a crash loop, or a failure under ``restart: never``. ``ended_at``: when it ended for good, where
     its host knows. ``started_at``: 0 where it is not known any more. ``metrics``: the last value of each
     application metric by name, also after its end. ``file``: the task file that it was started from.
+    ``needed``: marks of the runs of its predecessors with ``restart: with`` when it was started.
     ``orphaned``: it lives without a supervisor; ``adoptable``: a new one can take it over as it is (ADR
     0041).
     """
@@ -128,6 +130,7 @@ class TaskSample:
     file: str = ""
     orphaned: bool = False
     adoptable: bool = False
+    needed: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

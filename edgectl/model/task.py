@@ -8,6 +8,7 @@ from math import inf
 
 from edgectl.model.policy import Policy
 from edgectl.model.resource import RESOURCES_BY_NAME, ResourceMap
+from edgectl.model.ros import RosCheck
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,21 +97,56 @@ class UnreachablePolicy(StrEnum):
     REPLACE = "replace"
 
 
+class OnUnhealthy(StrEnum):
+    """What becomes of a task that is not alive: only said, or its supervisor restarts it."""
+
+    REPORT = "report"
+    RESTART = "restart"
+
+
+class NeedRestart(StrEnum):
+    """Whether a task restarts because a predecessor was restarted."""
+
+    WITH = "with"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Need:
-    """An order constraint: ``task`` (an expanded name) must be at least ``until``."""
+    """An order constraint: ``task`` (an expanded name) must be at least ``until``.
+
+    ``restart``: ``with`` restarts the task after a restart of its predecessor; None: it runs on.
+    """
 
     task: str
     until: NeedCondition = NeedCondition.READY
+    restart: NeedRestart | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """A shell command that answers by its exit status (0 = yes) within ``timeout`` seconds."""
+    """A question that is answered within ``timeout`` seconds: a shell command by its exit status (0 = yes),
+    or with ``ros`` the ROS graph; ``command`` is empty then.
+    """
 
-    command: str
+    command: str = ""
     on: CheckLocation = CheckLocation.HOST
     timeout: float = 20.0
+    ros: RosCheck | None = None
+
+    def describe(self) -> str:
+        """The question as it was asked."""
+        return self.command if self.ros is None else self.ros.describe()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AliveRule:
+    """Question that a task's supervisor asks again and again; no answer of yes for ``after`` seconds means
+    unhealthy.
+    """
+
+    check: Check
+    after: float = 10.0
+    on_unhealthy: OnUnhealthy = OnUnhealthy.REPORT
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,6 +183,13 @@ class HostRules:
     never: tuple[str, ...] = ()
     labels: Mapping[str, str] = field(default_factory=dict)
     pin: str | None = None
+
+    def allow(self, host: str, labels: Mapping[str, str]) -> bool:
+        """Whether the host of this name and with these labels may run the task."""
+        if self.pin is not None:
+            return host == self.pin
+        named = host not in self.never and (not self.only or host in self.only)
+        return named and all(labels.get(key) == value for key, value in self.labels.items())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -198,6 +241,7 @@ class Task:
     ``ready``, how long (s) the command must have run until it counts as ready; None: the default.
     ``if_nothing_fits``: what it does where no host has room, as ``Policy.best_effort`` for all tasks.
     ``downtime_cost``: utility lost per second of downtime, 0 or more; weighed once downtimes are measured.
+    ``alive``: asked while the task runs, and for readiness too where ``ready`` is not stated.
     ``file``: the task file that lists it (ADR 0039); it is no part of any digest.
     """
 
@@ -223,6 +267,7 @@ class Task:
     kind: TaskKind = TaskKind.SERVICE
     ready: Check | None = None
     up: float | None = None
+    alive: AliveRule | None = None
     done_when: Check | None = None
     stop: StopRule = StopRule()
     restart: RestartPolicy = RestartPolicy.ON_FAILURE

@@ -39,6 +39,7 @@ class ArrayShares:
     kinds: tuple[str, ...]
     kind_of: NDArray[np.intp]
     rows: dict[object, Array] = field(default_factory=dict)
+    weighed: dict[object, tuple[Array, Array]] = field(default_factory=dict)
 
     def of_host(self, task: Task, resource: str) -> Array:
         """D / Delta of a resource of hosts at every edge."""
@@ -52,12 +53,25 @@ class ArrayShares:
             return row
         return _raise(row, floor.used[resource], usable)
 
-    def of_weighted(self, task: Task, weights: Weights) -> Array:
-        """Sum of weight x (d / Delta) over the resources of hosts at every edge."""
+    def of_hosts(self, task: Task, weights: Weights) -> tuple[Array, Array]:
+        """D / Delta of the resources of hosts, one row each, and the sum of weight x (d / Delta)."""
+        by_class = self.fleet.demands.get(task.name)
+        if by_class is not None or task.name in self.fleet.floors:
+            return self._weigh([self.of_host(task, name) for name in _HOST_NAMES], weights)
+        key = tuple([task.demand[name] for name in _HOST_NAMES])
+        found = self.weighed.get(key)
+        if found is None:
+            found = self._weigh([self.of_host(task, name) for name in _HOST_NAMES], weights)
+            if len(self.weighed) * self.fleet.edges > MAX_CACHED_SHARES / len(_HOST_NAMES):
+                self.weighed.clear()
+            self.weighed[key] = found
+        return found
+
+    def _weigh(self, rows: Sequence[Array], weights: Weights) -> tuple[Array, Array]:
         total: Array = np.zeros(self.fleet.edges)
-        for name in _HOST_NAMES:
-            total = total + weights[name] * self.of_host(task, name)
-        return total
+        for name, row in zip(_HOST_NAMES, rows, strict=True):
+            total = total + weights[name] * row
+        return np.array(rows), total
 
     def of_link(self, task: Task, robot: str) -> Array:
         """D / Delta of every edge's link to ``robot``."""
@@ -148,17 +162,18 @@ def _build_link_arrays(links: Mapping[str, Sequence[float | None]]) -> dict[str,
 
 @dataclass(slots=True, kw_only=True)
 class FreeArrays:
-    """The free shares of a ledger by edge, kept in step with it. ``weighted``: under ``weights``."""
+    """The free shares of a ledger by edge, kept in step with it. ``free``: one row per resource of hosts.
+    ``weighted``: under ``weights``.
+    """
 
-    free: dict[str, Array]
+    free: Array
     free_links: dict[str, Array]
     weighted: Array
 
     def set_free(self, place: int, name: str, share: float) -> None:
         """Follow a change of one resource."""
-        row = self.free[name]
-        if place < len(row):
-            row[place] = share
+        if place < len(self.weighted):
+            self.free[_HOST_NAMES.index(name), place] = share
 
     def set_link(self, place: int, robot: str, share: float) -> None:
         """Follow a change of one link."""
@@ -194,7 +209,7 @@ class ArrayTotals:
 
     def list_at_least(self, level: float) -> list[int]:
         """The places whose total is ``level`` or more, in order."""
-        places: list[int] = np.flatnonzero(self.row >= level).tolist()
+        places: list[int] = (self.row >= level).nonzero()[0].tolist()
         return places
 
     def copy(self) -> "ArrayTotals":
@@ -213,7 +228,7 @@ class ArrayScan:
         """Let arrays follow ``ledger`` from now on."""
         edges = ledger.fleet.edges
         ledger.mirror = FreeArrays(
-            free={name: np.array(row[:edges]) for name, row in ledger.free.items()},
+            free=np.array([ledger.free[name][:edges] for name in _HOST_NAMES]),
             free_links={robot: np.array(row) for robot, row in ledger.free_links.items()},
             weighted=np.array(ledger.weigh_free(self.weights)[:edges]),
         )
@@ -221,15 +236,15 @@ class ArrayScan:
     def compute_totals(self, free: FreeArrays, task: Task, *, offset: float) -> ArrayTotals:
         """As ``scan.compute_resource_totals``, with ``EXCLUDED_TOTAL`` for the robots after the edges."""
         shares, weights = self.shares, self.weights
-        terms = [free.free[name] - shares.of_host(task, name) for name in _HOST_NAMES]
-        terms.append(_find_link_terms(free, shares, task))
-        totals = (
-            offset + free.weighted - shares.of_weighted(task, weights) + weights[NETWORK.name] * terms[-1]
-        )
-        if any(term.min() < -EPSILON for term in terms):
-            totals[np.logical_or.reduce([term < -EPSILON for term in terms])] -= INFEASIBLE_PENALTY
-        row: Array = np.full(len(shares.fleet.places), EXCLUDED_TOTAL)
+        demanded, weighted = shares.of_hosts(task, weights)
+        terms = free.free - demanded
+        links = _find_link_terms(free, shares, task)
+        totals = offset + free.weighted - weighted + weights[NETWORK.name] * links
+        if min(terms.min(), links.min()) < -EPSILON:
+            totals[(terms < -EPSILON).any(axis=0) | (links < -EPSILON)] -= INFEASIBLE_PENALTY
+        row: Array = np.empty(len(shares.fleet.places))
         row[: shares.fleet.edges] = totals
+        row[shares.fleet.edges :] = EXCLUDED_TOTAL
         return ArrayTotals(row)
 
 

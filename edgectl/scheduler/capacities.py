@@ -87,6 +87,13 @@ def build_capacities(
     }
     ranked = sorted(range(len(places)), key=lambda place: natural_key(places[place].name))
     order = dict(zip(ranked, range(len(ranked)), strict=True))
+    links = {
+        robot.name: [
+            _resolve_link(inventory, edge.name, sample, robot.name)
+            for edge, sample in zip(edges, samples, strict=False)  # the samples go on to the robots
+        ]
+        for robot in robots
+    }
     return Capacities(
         places=places,
         index={host.name: place for place, host in enumerate(places)},
@@ -98,16 +105,8 @@ def build_capacities(
             name: tuple(capacity * host.limits[name] for capacity, host in zip(row, places, strict=True))
             for name, row in raw.items()
         },
-        links={
-            robot.name: tuple(_resolve_link_capacity(inventory, edge, snapshot, robot.name) for edge in edges)
-            for robot in robots
-        },
-        nominal_links={
-            robot.name: tuple(
-                _resolve_nominal_capacity(inventory, edge, snapshot, robot.name) for edge in edges
-            )
-            for robot in robots
-        },
+        links={robot: tuple(now for now, _ in row) for robot, row in links.items()},
+        nominal_links={robot: tuple(nominal for _, nominal in row) for robot, row in links.items()},
         closed=closed,
         hard=frozenset(
             place
@@ -129,30 +128,21 @@ def _resolve_capacity(host: Host, sample: HostSample | None, resource: Resource)
     return declared or sample.usage[resource.name].capacity
 
 
-def _resolve_link_capacity(inventory: Inventory, edge: Host, snapshot: Snapshot, robot: str) -> float | None:
-    """Delta_thp of one link: a declared link wins unless it carries less now, but only an edge that reports
-    the link has it.
+def _resolve_link(
+    inventory: Inventory, edge: str, sample: HostSample | None, robot: str
+) -> tuple[float | None, float | None]:
+    """Delta_thp of one link, and what it carries at best: a declared link wins unless it carries less now,
+    but only an edge that reports the link has it.
     """
-    sample = snapshot.hosts.get(edge.name)
-    if sample is None or robot not in sample.links:
-        return None
-    link = sample.links[robot]
-    declared = inventory.links.get((edge.name, robot))
-    if declared is None or not link.capacity_bytes_per_s:
-        return link.capacity_bytes_per_s
-    return declared if link.nominal is None else min(declared, link.capacity_bytes_per_s)
-
-
-def _resolve_nominal_capacity(
-    inventory: Inventory, edge: Host, snapshot: Snapshot, robot: str
-) -> float | None:
-    sample = snapshot.hosts.get(edge.name)
-    if sample is None or robot not in sample.links:
-        return None
-    link = sample.links[robot]
-    if not link.capacity_bytes_per_s:
-        return 0.0
-    return inventory.links.get((edge.name, robot), link.nominal_bytes_per_s)
+    link = sample.links.get(robot) if sample is not None else None
+    if link is None:
+        return None, None
+    now, declared = link.capacity_bytes_per_s, inventory.links.get((edge, robot))
+    if not now:
+        return now, 0.0
+    if declared is None:
+        return now, link.nominal_bytes_per_s
+    return declared if link.nominal is None else min(declared, now), declared
 
 
 def _find_closing_rule(

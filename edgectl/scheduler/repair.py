@@ -47,11 +47,12 @@ def repair_plan(plan: DecidedPlan) -> dict[str, Choice]:
     causes: dict[str, str] = {}
     bounded = _has_absolute_demands(plan)
     located = find_located(plan)
-    for task in wanted:
+    # Twice: a task that found no room may find it among the others as they are in the end.
+    for index, task in enumerate([*wanted, *wanted]):
         joining = _list_joining(plan, task, wanted, located, leaders)
         if work <= 0 or not joining:
             continue
-        packing.work = share = min(work, max(MIN_WORK, MAX_WORK // len(wanted)))
+        packing.work = share = min(work, max(MIN_WORK, work // (len(wanted) - index % len(wanted))))
         before = dict(packing.at)
         possible = not bounded or all(_has_room_in_sum(plan, packing, each) for each in joining)
         item = _build_joint_item(plan, joining, sort_places, leaders, packing)

@@ -259,6 +259,8 @@ def _detect_state_events(
             task=name,
             message=_describe_ending(sample),
         )
+    elif sample.state is TaskState.UNHEALTHY:
+        yield Event(at=now.at, kind=EventKind.TASK_UNHEALTHY, host=now.host, task=name, message=sample.detail)
     elif sample.state is TaskState.READY and not fresh:
         yield Event(at=now.at, kind=EventKind.TASK_READY, host=now.host, task=name)
 

@@ -161,6 +161,12 @@ class SshTransport:
         seconds = min(
             CONNECT_TIMEOUT_S, resolved.connect_timeout or CONNECT_TIMEOUT_S, deadline - time.monotonic()
         )
+        if seconds <= 0:
+            raise ConnectError(
+                f"no time was left to connect to {resolved.hostname} port {resolved.port}",
+                hint="this machine is busy: give more time with --timeout",
+                host=resolved.name,
+            )
         line: Line
         done: Callable[[], None] = _release_nothing
         try:

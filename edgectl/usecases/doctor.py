@@ -20,6 +20,7 @@ from edgectl.model.diagnosis import (
 )
 from edgectl.model.inventory import Connection, Coordination, Host
 from edgectl.names import check_known_names
+from edgectl.rules.ros import list_ros_packages
 from edgectl.state.manager_state import load_link_capacities
 from edgectl.transport.connections import BackoffTransport, SessionPool
 from edgectl.transport.preflight import has_ssh_program, list_known_hosts_files
@@ -103,5 +104,6 @@ def _collect_answers(fleet: Fleet, hosts: Sequence[Host], state: Disk, timeout: 
         }
     measured = {} if state.obstacle else load_link_capacities(fleet.state, fleet.warn)
     with contextlib.nullcontext(fleet) if state.obstacle else track_heartbeats(fleet) as near:
-        options = HostFactsOptions(timeout=timeout, measured=measured)
+        packages = {host.name: tuple(list_ros_packages(fleet.tasks.tasks, host)) for host in hosts}
+        options = HostFactsOptions(timeout=timeout, measured=measured, packages=packages)
         return collect_host_facts(fleet.inventory, hosts, near.transport, options, clock=fleet.clock)

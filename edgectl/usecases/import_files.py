@@ -21,7 +21,7 @@ from edgectl.config.problems import Mark, ProblemCode, Problems, Source
 from edgectl.config.source import decode_source, read_source
 from edgectl.config.task_file import TaskTemplate, merge_policy, read_templates
 from edgectl.config.yaml_parser import parse_yaml
-from edgectl.errors import Problem, UsageError
+from edgectl.errors import InputError, Problem, UsageError
 from edgectl.importers.ansible_inventory import read_ansible_hosts
 from edgectl.importers.host_lists import ImportedHost, build_inventory
 from edgectl.importers.launch_group import add_launch_file
@@ -103,7 +103,8 @@ def read_launch_files(
             "the file starts nothing",
             "check the conditions and args of its nodes",
         )
-    launch.problems.check()
+    if launch.problems.errors:  # what was dropped may be the cause
+        raise InputError((*launch.problems.errors, *launch.notes))
     return launch
 
 

@@ -22,6 +22,7 @@ _EVENT_STYLES = {
     EventKind.TASK_ADOPTED: "warn",
     EventKind.TASK_FAILED: "bad",
     EventKind.TASK_CRASHLOOP: "bad",
+    EventKind.TASK_UNHEALTHY: "bad",
     EventKind.TASK_LOST: "bad",
     EventKind.TASK_DEFERRED: "warn",
     EventKind.TASK_UNPLACED: "warn",

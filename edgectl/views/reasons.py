@@ -254,6 +254,7 @@ _REASON_DESCRIBERS: dict[Reason, Callable[[Step], str]] = {
         if step.action is Action.ADOPT
         else "its supervisor was lost and cannot be replaced"
     ),
+    Reason.NEED_RESTARTED: lambda step: f"{step.decision.subject or 'a task that it needs'} restarted",
     Reason.SPEC_CHANGED: _describe_spec_change,
     Reason.DUPLICATE: _describe_duplicate,
     Reason.ROLLBACK: lambda step: f"as after revision {step.decision.amount or 0:.0f}",

@@ -59,6 +59,16 @@ def find_failed_tasks(tasks: Tasks, value: Snapshot) -> dict[str, tuple[str, Tas
     return failed
 
 
+def list_unhealthy_tasks(value: Snapshot) -> list[str]:
+    """The tasks that run and are not alive, each with its host."""
+    return [
+        f"{name} on {host}"
+        for host, each in value.hosts.items()
+        for name, sample in each.tasks.items()
+        if sample.state is TaskState.UNHEALTHY
+    ]
+
+
 def list_failed_needs(task: Task | None, failed: Collection[str]) -> list[str]:
     """The tasks that ``task`` needs and that have failed."""
     return [need.task for need in task.needs if need.task in failed] if task is not None else []
@@ -81,6 +91,7 @@ TASK_STATE_STYLES = {
     TaskState.READY: "good",
     TaskState.RUNNING: "good",
     TaskState.STARTING: "warn",
+    TaskState.UNHEALTHY: "bad",
     TaskState.COMPLETED: "dim",
     TaskState.FAILED: "bad",
     TaskState.CRASHLOOP: "bad",
@@ -145,4 +156,6 @@ def describe_attention(sample: TaskSample) -> str:
         return format_task_state(sample) + (f": {sample.log_tail[-1]}" if sample.log_tail else "")
     if sample.orphaned:
         return _ORPHAN_REMARK
+    if sample.state is TaskState.UNHEALTHY:
+        return format_task_state(sample)
     return f"limits: {sample.limits}" if sample.limits.startswith("not") and sample.state.alive else ""

@@ -36,6 +36,7 @@ from edgectl.views.state import (
     format_task_state,
     list_failed_needs,
     list_task_remarks,
+    list_unhealthy_tasks,
     resolve_absent_task,
 )
 from edgectl.views.text import (
@@ -94,6 +95,11 @@ class StatusView(ListView):
         first = list_doubled_notes(self._snapshot)
         if failed:
             first.append(f"{len(failed)} of {len(self._tasks.tasks)} tasks failed: {', '.join(failed)}")
+        unhealthy = list_unhealthy_tasks(self._snapshot)
+        if unhealthy:
+            first.append(
+                f"{len(unhealthy)} of {len(self._tasks.tasks)} tasks unhealthy: {', '.join(unhealthy)}"
+            )
         return "".join(style_text(wrap_text(line, look), "bad", look) for line in first) + render_columns(
             rows, look, right=right, wrap={2}
         )

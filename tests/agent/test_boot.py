@@ -22,6 +22,7 @@ from edgectl.agent.link import boot
 from edgectl.transport import agent_client as protocol
 from edgectl.transport.base import Reply
 from tests.agent.conftest import AgentHost
+from tests.pace import patience
 
 AGENT = Path(edgectl.__file__).parent / "agent"
 
@@ -132,7 +133,7 @@ def test_runs_from_memory_where_nothing_can_be_kept(host: AgentHost, tmp_path: P
         capture_output=True,
         check=False,
         cwd=tmp_path,
-        timeout=30,
+        timeout=patience(30),
     )
     assert b'"op": "probe"' in done.stdout, done.stderr
     assert list(tmp_path.iterdir()) == []

@@ -52,6 +52,29 @@ def test_this_machine(host: AgentHost) -> None:
     assert 0 < answer["memory"]["used_bytes"] < answer["memory"]["total_bytes"]
 
 
+def test_what_a_host_lacks_of_its_ros(host: AgentHost, tmp_path: Path) -> None:
+    """Packages are looked for in the environment of the set-up files, which leave their names alone."""
+    index = tmp_path / "ws/share/ament_index/resource_index/packages"
+    index.mkdir(parents=True)
+    (index / "slam").touch()
+    setup, missing = tmp_path / "setup.bash", str(tmp_path / "none.bash")
+    setup.write_text(f"export AMENT_PREFIX_PATH=/nowhere:{tmp_path}/ws ROS_DOMAIN_ID=9\n")
+    answer = host.ask(
+        "doctor",
+        links=[{"robot": "near", "address": "127.0.0.1"}],
+        prelude="",
+        ros={"setup": [str(setup), missing], "peers": ["127.0.0.1"], "values": {}},
+        packages=["slam", "camera"],
+        env={"ROS_IP": "{host_address}"},
+        timeout_s=20.0,
+    )
+    assert answer["ros"]["missing_files"] == [missing]
+    assert answer["ros"]["missing_packages"] == ["camera"]
+    assert answer["ros"]["addresses"] == {"near": "127.0.0.1"}
+    assert answer["ros"]["receive_bytes"] > 0
+    assert answer["surroundings"]["variables"]["ROS_DOMAIN_ID"] == "9"
+
+
 def test_the_prelude_overrides_and_only_its_exports_count() -> None:
     assert seen("export ROS_DOMAIN_ID=8", {"ROS_DOMAIN_ID": "7"})["variables"]["ROS_DOMAIN_ID"] == "8"  # type: ignore[index]
     assert seen("RMW_IMPLEMENTATION=x")["variables"]["RMW_IMPLEMENTATION"] == ""  # type: ignore[index]

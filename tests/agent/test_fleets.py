@@ -14,6 +14,7 @@ from edgectl.agent.link import protocol
 from edgectl.agent.supervise import liveness, records
 from edgectl.errors import RefusedError
 from tests.agent.conftest import AgentHost, a_spec, eventually
+from tests.pace import patience
 
 # As the first release did: the directory of a task names no fleet.
 _START_UNOWNED = """
@@ -21,6 +22,7 @@ import sys
 from edgectl.agent.supervise import launch, lockfile, records, scope, state_dir
 from edgectl.agent.link.boot import make_private_dir
 from edgectl.agent.measure import proc
+from tests.pace import patience
 folder, spec = sys.argv[1], eval(sys.argv[2])
 make_private_dir(folder)
 identity = {"instance": "old", "host": "edge1", "task": "slam", "generation": 7, "spec_hash": "h1",
@@ -46,7 +48,7 @@ def start_unowned(host: AgentHost, task: str, command: str) -> int:
     for path in (host.state, host.state / "hosts", host.state / "hosts" / host.name, folder.parent):
         path.chmod(0o700)
     words = [sys.executable, "-c", _START_UNOWNED, str(folder), repr(a_spec(command))]
-    return int(subprocess.run(words, check=True, capture_output=True, timeout=30).stdout)
+    return int(subprocess.run(words, check=True, capture_output=True, timeout=patience(30)).stdout)
 
 
 def others(host: AgentHost) -> list[dict[str, Any]]:

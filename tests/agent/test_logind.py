@@ -10,6 +10,7 @@ import pytest
 
 from edgectl.agent.link.errors import RefusalError
 from edgectl.agent.supervise import logind
+from tests.pace import patience
 
 
 def test_default_is_no(tmp_path: Path) -> None:
@@ -42,6 +43,6 @@ def test_a_uid_without_a_name_is_named_by_its_number() -> None:
     )
     words = [sys.executable, "-c", program]
     done = subprocess.run(
-        words, env={"HOME": "/h"}, capture_output=True, text=True, timeout=60, check=False, cwd="/"
+        words, env={"HOME": "/h"}, capture_output=True, text=True, timeout=patience(60), check=False, cwd="/"
     )
     assert (done.stdout, done.stderr) == ("4242 4242 /h\n", "")

@@ -13,6 +13,7 @@ from edgectl.agent.supervise import liveness
 from edgectl.agent.supervise.logfile import MAX_LINE_BYTES, LogWriter, read_log_tail
 from edgectl.transport.agent_client import stream_agent_log
 from tests.agent.conftest import AgentHost, both_runtimes, eventually
+from tests.pace import patience
 
 
 def sizes(folder: Path) -> dict[str, int]:
@@ -55,7 +56,11 @@ def test_disk_trouble_is_counted_and_does_not_raise(tmp_path: Path) -> None:
         "print(log.dropped)\n"
     )
     done = subprocess.run(
-        [sys.executable, "-c", program, str(tmp_path)], capture_output=True, text=True, check=True, timeout=20
+        [sys.executable, "-c", program, str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=patience(20),
     )
     assert done.stdout == "5000\n"
     assert sizes(tmp_path) == {"log.0": 5000}
@@ -124,7 +129,7 @@ def test_follow_gives_the_tail_then_what_comes_then_ends(host: AgentHost, tmp_pa
     follower = stream_agent_log(
         host.session,
         {"op": "follow", "fleet": "lab", "host": "edge1", "task": "work", "tail": 2},
-        idle_timeout=20,
+        idle_timeout=patience(20),
     )
     assert next(follower) == b"4\n5\n"
     (tmp_path / "go").touch()
@@ -140,7 +145,7 @@ def test_follow_goes_on_over_rotations(host: AgentHost) -> None:
     follower = stream_agent_log(
         host.session,
         {"op": "follow", "fleet": "lab", "host": "edge1", "task": "work", "tail": 300},
-        idle_timeout=20,
+        idle_timeout=patience(20),
     )
     assert b"".join(follower).decode().splitlines() == [f"line {number}" for number in range(1, 301)]
 
@@ -150,7 +155,7 @@ def test_closed_follower_leaves_no_process(host: AgentHost) -> None:
     follower = stream_agent_log(
         host.session,
         {"op": "follow", "fleet": "lab", "host": "edge1", "task": "work", "tail": 5},
-        idle_timeout=20,
+        idle_timeout=patience(20),
     )
     assert next(follower) == b"up\n"
     mine = {

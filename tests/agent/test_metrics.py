@@ -19,6 +19,7 @@ from edgectl.agent.measure import metrics
 from edgectl.agent.supervise import state_dir
 from edgectl.gateway import task_reply
 from tests.agent.conftest import AgentHost, both_runtimes, eventually, is_running
+from tests.pace import patience
 
 # -- lines --
 
@@ -182,7 +183,7 @@ def test_the_python_example_of_the_docs_works(tmp_path: Path) -> None:
     page = Path(__file__).parents[2] / "docs" / "concepts" / "app-metrics.md"
     (program,) = re.findall(r"^```python\n(import os\n.*?)^```$", page.read_text(), re.MULTILINE | re.DOTALL)
     for env in ({**os.environ, "EDGECTL_METRICS": metrics.get_metrics_path(str(tmp_path))}, dict(os.environ)):
-        subprocess.run([sys.executable, "-c", program], env=env, check=True, timeout=60)
+        subprocess.run([sys.executable, "-c", program], env=env, check=True, timeout=patience(60))
     assert metrics.read_metrics(str(tmp_path)) == {"fps": 29.97}
 
 

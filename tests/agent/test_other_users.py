@@ -13,6 +13,7 @@ import pytest
 from edgectl.agent.link import boot
 from edgectl.transport import agent_client
 from tests.agent.conftest import AgentHost, eventually, is_running
+from tests.pace import patience
 
 pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="only root can be another user")
 EVE = 1002
@@ -64,7 +65,7 @@ def ask_with_bases(host: AgentHost, bases: list[str], op: str, **fields: object)
     packet = agent_client._build_packet(request, "m" * 32, 30.0, agent_client.build_agent_zipapp())
     packet = packet.removeprefix(agent_client._read_boot_programs())
     words = [sys.executable, "-I", "-c", program]
-    return subprocess.run(words, input=packet, capture_output=True, check=True, timeout=60).stdout
+    return subprocess.run(words, input=packet, capture_output=True, check=True, timeout=patience(60)).stdout
 
 
 def test_a_base_that_another_user_made_is_skipped(host: AgentHost, tmp_path: Path) -> None:

@@ -133,7 +133,7 @@ def test_a_second_edgectl_waits_or_ends_with_75(run: Run, small: Path) -> None:
         assert f"pid {first.pid}" in said.err
         (small / "go").touch()
         assert run("apply", "--yes", "--lock-timeout", "60s").code == 0
-        first.communicate(timeout=60)
+        first.communicate(timeout=patience(60))
     assert first.returncode == 0
 
 
@@ -205,7 +205,7 @@ def test_ctrl_c_finishes_what_is_under_way(small: Path) -> None:
         assert process.stderr is not None
         assert any("finishing the running actions" in line for line in process.stderr)
         (small / "go").touch()
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=patience(60))
     assert process.returncode == 130
     assert "Interrupted." in out
     assert "Traceback" not in err

@@ -36,6 +36,7 @@ from edgectl.units import parse_instant
 from tests.cli.conftest import Run
 from tests.cli.fleet_dir import open_fleet_dir
 from tests.forkserver import ForkedProcess
+from tests.pace import patience
 from tests.views import fixtures
 
 
@@ -62,7 +63,7 @@ def serve_metrics(site: Path, *words: str) -> Iterator[tuple[str, "subprocess.Po
 
 
 def fetch_page(url: str, **headers: str) -> bytes:
-    with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=60) as answer:
+    with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=patience(60)) as answer:
         return bytes(answer.read())
 
 
@@ -242,7 +243,7 @@ def test_nobody_reads_to_the_end(recorded: Path, site: Path) -> None:
     database.close()
     command = f"{sys.executable} -m edgectl export jsonl hosts | head -n 2; exit ${{PIPESTATUS[0]}}"
     done = subprocess.run(
-        ["bash", "-c", command], cwd=site, capture_output=True, text=True, check=False, timeout=60
+        ["bash", "-c", command], cwd=site, capture_output=True, text=True, check=False, timeout=patience(60)
     )
     assert (done.returncode, done.stdout.count("\n"), done.stderr) == (0, 2, "")
 

@@ -156,7 +156,7 @@ def test_a_real_ctrl_c_during_a_probe(site: Path) -> None:
         assert time.monotonic() - begun < patience(30), "it asks no host"
         time.sleep(0.1)
     process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=120)
+    out, err = process.communicate(timeout=patience(120))
     assert (process.returncode, out) == (130, "")
     assert "Traceback" not in err
     assert err.endswith("interrupted\n")

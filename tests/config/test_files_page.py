@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.config import coordination, demand_readers, inventory_file, task_file, task_readers
+from edgectl.config import coordination, demand_readers, inventory_file, ros_settings, task_file, task_readers
 from edgectl.config import fields as config_fields
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.config.problems import ProblemCode
@@ -30,6 +30,7 @@ TABLES: Mapping[str, tuple[Mapping[str, object], ...]] = {
         {key: None for key in inventory_file.ROBOT_KEYS if key not in inventory_file.EDGE_KEYS},
     ),
     "### Coordination": (coordination.COORDINATION_KEYS,),
+    "### ROS of a host": (ros_settings.ROS_KEYS,),
     "### Limits of a host": (inventory_file.LIMITS_KEYS,),
     "### Capacity": (inventory_file.CAPACITY_KEYS,),
     "### Base": (inventory_file.BASE_KEYS,),
@@ -40,6 +41,7 @@ TABLES: Mapping[str, tuple[Mapping[str, object], ...]] = {
     "### Needs": (task_readers.NEED_KEYS,),
     "### Hosts of a task": (task_readers.HOST_RULES_KEYS,),
     "### Checks": (task_readers.CHECK_KEYS,),
+    "### Liveness": (task_readers.ALIVE_KEYS,),
     "### Detect": (task_readers.DETECT_KEYS,),
     "### Stop": (task_readers.STOP_KEYS,),
     "### Secrets": (config_fields.SECRET_KEYS,),
@@ -91,13 +93,16 @@ def test_readers_cover_the_model() -> None:
         "fleet",
     }
     made = {"name", "template", "spec_hash", "spec_fields", "replace_after", "file"}
-    assert set(task_file.TASK_KEYS) - {"for_each", "robot"} == {field.name for field in fields(Task)} - made
+    assert (
+        set(task_file.TASK_KEYS) - {"for_each", "robot", "on_unhealthy"}
+        == {field.name for field in fields(Task)} - made
+    )
 
 
 def test_keys_of_a_snapshot_are_complete() -> None:
     everything = TaskSample(
         state=TaskState.FAILED, links={}, instance="i", spec_hash="s", generation=1, managed=False, restarts=1, exit_code=1, detail="d",
-        fields={"command": "c"}, last_exit=1, log_tail=("l",), limits="l", given_up=True, metrics={"fps": 29.5}, ended_at=1.0, file="f", orphaned=True, adoptable=True,
+        fields={"command": "c"}, last_exit=1, log_tail=("l",), limits="l", given_up=True, metrics={"fps": 29.5}, ended_at=1.0, file="f", orphaned=True, adoptable=True, needed="a1b2c3",
     )  # fmt: skip
     device = DeviceSample(
         load_1m=1.0,

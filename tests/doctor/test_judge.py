@@ -15,12 +15,14 @@ from edgectl.model.diagnosis import (
     Finding,
     HostFacts,
     ManagerFacts,
+    RosFacts,
     Severity,
     ShellEnvironment,
     UnreachableHost,
 )
 from edgectl.model.inventory import Connection, Host
 from edgectl.model.resource import CPU, MEMORY
+from edgectl.model.ros import RosSettings
 from edgectl.model.snapshot import CapacitySource
 from tests.builders import a_robot, an_edge, an_inventory
 from tests.doctor.facts import DISK, FACTS, GI, LINK, LOGIND, MANAGER, ros_facts
@@ -338,6 +340,37 @@ def test_lines_to_paste_have_port_key_and_jump() -> None:
     assert any(f"ssh -vvv {words} true" in mend for mend in mends)
     refused = diagnose_answer(UnreachableHost(kind="connect", error="connection refused"), host)
     assert "sshd runs there on port 22911" in find_only(refused, "reachability").remedy
+
+
+ROS2 = RosSettings(version=2, setup=("/opt/ros/setup.bash",), domain=3)
+DDS_READY = RosFacts(interfaces=("wlan0",), receive_bytes=8.0 * 2**20, fragment_bytes=128.0 * 2**20)
+
+
+@pytest.mark.parametrize(
+    ("ros", "seen", "expected"),
+    [
+        (ROS2, DDS_READY, []),
+        (RosSettings(version=1), RosFacts(interfaces=("eth0", "wlan0"), addresses={"r1": "10.0.0.1", "r2": "10.0.0.1"}), []),
+        (RosSettings(version=1), RosFacts(addresses={"r1": "10.0.0.1", "r2": "10.9.0.1"}),
+         [(WARNING, "has several addresses on its ways to the robots (10.0.0.1 to r1, 10.9.0.1 to r2)")]),
+        (ROS2, replace(DDS_READY, missing_files=("/opt/ros/setup.bash",)), [(FAILED, "set-up file /opt/ros/setup.bash cannot be read")]),
+        (ROS2, replace(DDS_READY, missing_packages=("slam",)), [(FAILED, "package slam, which a task runs, is not found")]),
+        (ROS2, replace(DDS_READY, interfaces=("eth0", "wlan0")), [(WARNING, "DDS announces 2 interfaces: eth0, wlan0")]),
+        (ROS2, replace(DDS_READY, no_multicast=("eth0",)), [(FAILED, "eth0, the way to the robots, has no multicast")]),
+        (replace(ROS2, discovery_server="a:1"), replace(DDS_READY, no_multicast=("eth0",)), []),
+        (ROS2, replace(DDS_READY, no_multicast=("tun0",)), []),
+        (ROS2, replace(DDS_READY, receive_bytes=212992.0), [(WARNING, "net.core.rmem_max is 208.0Ki: large messages are lost")]),
+    ],
+)  # fmt: skip
+def test_what_a_host_lacks_of_its_ros(
+    ros: RosSettings, seen: RosFacts, expected: list[tuple[Severity, str]]
+) -> None:
+    edge = replace(E1, ros=ros)
+    found = diagnose_fleet(an_inventory(edge, R1), MANAGER, {"edge1": replace(FACTS, ros=seen)}).findings
+    said = [(each.level, each.message) for each in found if each.check == "ros"]
+    assert [level for level, _ in said] == [level for level, _ in expected]
+    for (_, message), (_, begin) in zip(said, expected, strict=True):
+        assert message.startswith(begin)
 
 
 def test_what_the_edges_lack_is_a_warning_for_each_resource() -> None:

@@ -1,5 +1,6 @@
 """Algorithm 2 as a pure diff: an assignment against the running tasks."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -10,7 +11,8 @@ from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action, Step
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
-from edgectl.model.task import Task
+from edgectl.model.task import Need, NeedRestart, Task
+from edgectl.rules.need_runs import mark_run
 from tests.builders import NOW, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
 
 NOTHING = ManagerState()
@@ -217,3 +219,45 @@ def test_selecting_targets_shows_all_and_does_some() -> None:
         (Action.KEEP, (), decisions[2]),
     ]
     assert not select_targets(plan, set()).changes
+
+
+@pytest.mark.parametrize(
+    ("needed", "master", "action"),
+    [
+        (mark_run("m1", 0), a_run(instance="m1"), Action.KEEP),
+        # its supervisor restarted it; it was started anew
+        (mark_run("m1", 0), a_run(instance="m1", restarts=1), Action.RESTART),
+        (mark_run("m1", 0), a_run(instance="m2"), Action.RESTART),
+        # started by an older edgectl, or without this need: nobody knows with which run
+        ("", a_run(instance="m2"), Action.KEEP),
+        (f"{mark_run('m1', 0)},", a_run(instance="m2"), Action.KEEP),
+        # started in this very plan, so the mark is of no use
+        (mark_run("m1", 0), None, Action.RESTART),
+    ],
+)
+def test_a_task_restarts_with_its_predecessor(needed: str, master: TaskSample | None, action: Action) -> None:
+    tasks = some_tasks(
+        a_task("core"), a_task("slam", needs=(Need(task="core", restart=NeedRestart.WITH),)), a_task("nav")
+    )
+    tasks = replace(
+        tasks, tasks={**tasks.tasks, "nav": replace(tasks.tasks["nav"], needs=(Need(task="core"),))}
+    )
+    runs = {"slam": a_run(needed=needed, spec_hash=""), "nav": a_run(spec_hash="")}
+    seen = a_snapshot(
+        {"edge1": a_sample(tasks=runs | ({"core": replace(master, spec_hash="")} if master else {}))}
+    )
+    core = (Verdict.KEPT, Reason.STILL_BEST) if master else (Verdict.PLACED, Reason.BEST)
+    decisions = (
+        a_decision(*core, "edge1", task="core"),
+        *(
+            a_decision(Verdict.KEPT, Reason.STILL_BEST, "edge1", "edge1", task=name)
+            for name in ("slam", "nav")
+        ),
+    )
+    steps = diff_assignment(
+        Assignment(policy=Policy(), decisions=decisions, expected={}), tasks, seen, NOTHING
+    )
+    assert [step.action for step in steps[1:]] == [action, Action.KEEP]
+    if action is Action.RESTART:
+        assert (steps[1].decision.reason, steps[1].decision.subject) == (Reason.NEED_RESTARTED, "core")
+        assert steps[1].instances == {"edge1": "instance-1"}

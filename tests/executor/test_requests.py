@@ -64,7 +64,7 @@ def test_a_start_request_is_the_task_as_it_will_run() -> None:
         "process",
     )
     assert (spec["ready"], spec["stop"]) == (
-        {"command": "is up", "timeout_s": 7.0},
+        {"command": "is up", "graph": None, "timeout_s": 7.0},
         {"signal": "TERM", "grace_s": 20.0, "preset": "ros"},
     )
 

@@ -14,6 +14,7 @@ from edgectl.export.cron import format_cron_command, format_cron_schedule, forma
 from edgectl.export.job import ScheduledJob, format_interval
 from tests import forkserver
 from tests.e2e.bench import a_mark, list_sleepers, wait_for_sleepers
+from tests.pace import patience
 
 JOB = ScheduledJob(
     name="lab", program=("/opt/edgectl/bin/edgectl",), inventory="/srv/lab/lab.yaml", tasks=("/srv/lab/tasks",), directory="/srv/lab", user="ana"
@@ -145,7 +146,7 @@ def test_the_line_runs_as_cron_runs_it(site: tuple[Path, str], isolated: Path) -
             capture_output=True,
             text=True,
             check=False,
-            timeout=60,
+            timeout=patience(60),
             stdin=subprocess.DEVNULL,
         )
         for _ in range(2)

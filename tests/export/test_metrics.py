@@ -23,6 +23,7 @@ from tests.builders import NOW
 from tests.docs.metrics import PAGE
 from tests.docs.metrics import page as listed
 from tests.export.metrics_inputs import a_metrics_input, a_move, a_revision
+from tests.pace import patience
 
 LABELS = {"host", "role", "edge", "robot", "task", "state", "action", "outcome", "version", "name"}
 
@@ -184,7 +185,12 @@ def run_promtool(*words: str, page: str = "") -> tuple[int, str]:
     program = shutil.which("promtool", path=f"{os.environ.get('PATH', os.defpath)}{os.pathsep}{beside}")
     assert program, "promtool is missing; run .ci/need-promtool"
     done = subprocess.run(
-        [program, "check", *words], input=page, capture_output=True, text=True, check=False, timeout=60
+        [program, "check", *words],
+        input=page,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=patience(60),
     )
     return done.returncode, done.stdout + done.stderr
 

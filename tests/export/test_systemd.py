@@ -19,6 +19,7 @@ from edgectl.export.job import ScheduledJob
 from edgectl.export.systemd import build_timer_units, build_unit_name, build_watch_unit
 from tests.agent.user_systemd import UserSystemd, can_be_real, user_systemd
 from tests.e2e.bench import a_mark, list_sleepers, wait_for_sleepers
+from tests.pace import patience
 from tests.sshd import Lab
 
 JOB = ScheduledJob(
@@ -36,7 +37,7 @@ def verify_units(units: dict[str, str], folder: Path, *, user: bool) -> None:
         (folder / name).write_text(text)
     env = {**os.environ, "XDG_RUNTIME_DIR": str(folder)}
     command = [program, *(["--user"] if user else []), "verify", *(str(folder / name) for name in units)]
-    done = subprocess.run(command, env=env, capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run(command, env=env, capture_output=True, text=True, check=False, timeout=patience(60))
     ours = [line for line in done.stderr.splitlines() if "edgectl" in line]
     assert (done.returncode, ours) == (0, []), done.stderr
 
@@ -147,7 +148,11 @@ def run_systemctl(manager: UserSystemd, *words: str) -> "subprocess.CompletedPro
         f"XDG_RUNTIME_DIR=/run/user/{os.geteuid()}",
     ]
     return subprocess.run(
-        [*inside, "systemctl", "--user", *words], capture_output=True, text=True, check=False, timeout=90
+        [*inside, "systemctl", "--user", *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=patience(90),
     )
 
 
@@ -250,7 +255,7 @@ def test_a_run_in_the_sandbox_reaches_its_hosts(
         env=env,
         check=True,
         capture_output=True,
-        timeout=60,
+        timeout=patience(60),
     )
     units = {path.name: path.read_text() for path in sorted((tmp_path / "units").iterdir())}
     assert list(units) == ["edgectl-lab.service", "edgectl-lab.timer"]
@@ -273,7 +278,7 @@ def test_a_run_in_the_sandbox_reaches_its_hosts(
             env=env,
             check=False,
             capture_output=True,
-            timeout=60,
+            timeout=patience(60),
         )
     assert list_sleepers(mark) == []
     (tmp_path / "tasks.yaml").write_text("version: 2\n")

@@ -18,6 +18,7 @@ from tests.faults.fleet import APPLY, FaultFleet
 from tests.faults.hosts import wait_for
 from tests.faults.registry import fault
 from tests.faults.synced_disk import restore_synced_files
+from tests.pace import patience
 
 SKEW = Path(__file__).with_name("skew.c")
 
@@ -164,7 +165,7 @@ def build_skewed_env(fleet: FaultFleet, seconds: int) -> dict[str, str]:
     library = fleet.directory / "skew.so"
     if not library.exists():
         subprocess.run(
-            ["cc", "-shared", "-fPIC", "-O1", "-o", str(library), str(SKEW)], check=True, timeout=60
+            ["cc", "-shared", "-fPIC", "-O1", "-o", str(library), str(SKEW)], check=True, timeout=patience(60)
         )
     return {"LD_PRELOAD": str(library), "CLOCK_SKEW": str(seconds)}
 

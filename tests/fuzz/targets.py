@@ -49,6 +49,7 @@ from edgectl.transport.agent_client import call_agent
 from edgectl.transport.base import Reply
 from edgectl.transport.etcd_client import encode_text
 from edgectl.transport.etcd_lease import parse_fleet_keys
+from edgectl.usecases.import_files import import_ansible, import_paper, import_ros
 from edgectl.views.output import render_view
 from edgectl.views.plan import PlanView
 from edgectl.views.snapshot import SnapshotView
@@ -75,6 +76,8 @@ from tests.fuzz.hostile_fleet import run_against_liar
 from tests.fuzz.mutate import damage_seed, mutate_seed
 from tests.gateway.test_decode import a_document, a_task
 from tests.gateway.test_facts import DOCUMENT as FACTS
+from tests.importers.test_commands import HOSTS_INI, REQUIREMENTS
+from tests.importers.test_launch_files import CORPUS
 
 Read = Callable[[bytes], object]
 SECRETS = INVENTORY.replace(
@@ -193,7 +196,28 @@ def build_targets(directory: Path) -> Iterator[list[Target]]:
             [TASKS.encode()],
             _read_through_file(path, lambda file: load_inventory_and_tasks(good_inventory, file)),
         ),
+        *_build_import_targets(directory),
     ]
+
+
+def _build_import_targets(directory: Path) -> Iterator[Target]:
+    """Files of other tools; each is read under a name of its kind."""
+    for name, seeds in (
+        ("x.launch", ("robots.launch", "rosparam.launch", "eval.launch")),
+        ("x.launch.xml", ("params.launch.xml", "conditions.launch.xml")),
+        ("x.launch.yaml", ("full.launch.yaml",)),
+    ):
+        yield Target(
+            f"import of {name}",
+            [(CORPUS / seed).read_bytes() for seed in seeds],
+            _read_through_file(
+                directory / name, lambda file: import_ros([str(file)], {}, [str(CORPUS)], by_file=False)
+            ),
+        )
+    hosts = _read_through_file(directory / "hosts", lambda file: import_ansible(str(file)))
+    yield Target("import of Ansible", [HOSTS_INI.encode()], hosts)
+    paper = _read_through_file(directory / "task_req.yaml", lambda file: import_paper(str(file)))
+    yield Target("import of the paper", [REQUIREMENTS.encode()], paper)
 
 
 def _read_as_map(data: bytes) -> object:

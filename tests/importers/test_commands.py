@@ -134,6 +134,13 @@ def test_a_call_without_a_launch_file_is_refused(tmp_path: Path) -> None:
     assert (said.code, said.err.splitlines()[0]) == (64, "error: no launch file is named")
 
 
+def test_what_was_dropped_is_said_where_nothing_is_left(tmp_path: Path) -> None:
+    said = run(tmp_path, "import", "ros", str(CORPUS / "nav.launch.py"), "use_composition:=True")
+    assert said.code == 64
+    assert "the file starts nothing" in said.err
+    assert f"{CORPUS}/nav.launch.py:49:1: LoadComposableNodes is not imported" in said.err
+
+
 def test_packages_are_found_by_the_variables_of_ros(tmp_path: Path) -> None:
     said = run(
         tmp_path, "import", "ros", str(CORPUS / "includes.launch"), ROS_PACKAGE_PATH=f"/nowhere:{CORPUS}"

@@ -218,6 +218,8 @@ def test_without_time_the_plan_is_the_plain_one_and_nothing_is_claimed() -> None
     certificate = get_certificate(found)
     assert count_unplaced(found) <= count_unplaced(fleet.assign())
     assert certificate.moves_bound == 0
+    assert certificate.timed_out
+    assert certificate.describe().endswith("; the time was up: another run may find another plan")
     assert "highest" not in certificate.describe() or "at most" in certificate.describe()
 
 

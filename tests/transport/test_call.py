@@ -66,7 +66,7 @@ OTHER = "0" * 32
 
 
 def call_scripted(answer: Callable[[str], Reply | bytes]) -> dict[str, object]:
-    return call_agent(ScriptedSession(answer), REQUEST, timeout=30.0)
+    return call_agent(ScriptedSession(answer), REQUEST, timeout=patience(30))
 
 
 @pytest.mark.parametrize(
@@ -166,7 +166,9 @@ def test_stream_takes_chunks_apart_whatever_their_borders() -> None:
             + b"logout\n"
         )
 
-    assert list(stream_agent_log(ScriptedSession(answer), {**REQUEST, "op": "follow"}, idle_timeout=20)) == [
+    assert list(
+        stream_agent_log(ScriptedSession(answer), {**REQUEST, "op": "follow"}, idle_timeout=patience(20))
+    ) == [
         b"a\nb",
         b"\xff\n",
     ]
@@ -178,7 +180,7 @@ def test_garbled_stream_is_a_bad_reply() -> None:
             stream_agent_log(
                 ScriptedSession(lambda marker: frame_reply(marker, b'{"stream": true}') + b"what\n"),
                 {**REQUEST, "op": "follow"},
-                idle_timeout=20,
+                idle_timeout=patience(20),
             )
         )
 
@@ -195,7 +197,7 @@ def test_command_line_is_constant_and_survives_every_shell(tmp_path: Path) -> No
             input=b"10\nprint('x')",
             capture_output=True,
             check=False,
-            timeout=20,
+            timeout=patience(20),
         )
         assert done.stdout == b"x\n", shell
 
@@ -225,14 +227,14 @@ def test_noisy_login_on_a_real_agent(wrapped: Callable[[str], Any]) -> None:
     session = wrapped(
         f"""echo Welcome; printf '\\377\\nedgectl-frame x 1 2\\n'; echo warning >&2; {sys.executable} "$@"; echo bye; exit 3"""
     )
-    assert call_agent(session, REQUEST, timeout=20)["op"] == "status"
+    assert call_agent(session, REQUEST, timeout=patience(20))["op"] == "status"
 
 
 def test_background_noise_cannot_get_into_the_frame(wrapped: Callable[[str], Any]) -> None:
     noise = "(for i in 1 2 3 4 5 6 7 8; do echo noise; sleep 0.02; done) & "
     session = wrapped(f'{noise} {sys.executable} "$@"; wait')
     for _ in range(3):
-        assert call_agent(session, REQUEST, timeout=20)["op"] == "status"
+        assert call_agent(session, REQUEST, timeout=patience(20))["op"] == "status"
 
 
 def test_a_host_that_gave_up_at_the_deadline_met_the_deadline() -> None:
@@ -248,12 +250,12 @@ def test_a_host_that_gave_up_at_the_deadline_met_the_deadline() -> None:
 
 def test_real_missing_python(wrapped: Callable[[str], Any]) -> None:
     with pytest.raises(NoPythonError):
-        call_agent(wrapped("exec no-such-python"), REQUEST, timeout=20)
+        call_agent(wrapped("exec no-such-python"), REQUEST, timeout=patience(20))
 
 
 def test_hung_agent_ends_on_both_sides(wrapped: Callable[[str], Any]) -> None:
     session = wrapped(f'exec {sys.executable} "$@"')
-    call_agent(session, REQUEST, timeout=20)
+    call_agent(session, REQUEST, timeout=patience(20))
     began, mark = time.monotonic(), f"4321.{os.getpid()}"
     request = {
         "op": "check",

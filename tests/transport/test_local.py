@@ -17,7 +17,9 @@ HOST = Host(name="edge1", role=Role.EDGE, host="127.0.1.11")
 def test_runs_a_command_with_the_manager_s_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("EDGECTL_STATE_DIR", "/somewhere")
     with LocalTransport().connect(HOST, timeout=1.0) as session:
-        reply = session.run('cat; echo "$EDGECTL_STATE_DIR"; echo oops >&2; exit 7', b"in\0put\n", timeout=20)
+        reply = session.run(
+            'cat; echo "$EDGECTL_STATE_DIR"; echo oops >&2; exit 7', b"in\0put\n", timeout=patience(20)
+        )
     assert (reply.stdout, reply.stderr, reply.status) == (b"in\0put\n/somewhere\n", b"oops\n", 7)
     assert LocalTransport().address(HOST) == "127.0.1.11"
 
@@ -34,21 +36,23 @@ def test_deadline_ends_the_whole_group(tmp_path: Path) -> None:
 
 def test_large_input_and_output_pass_at_once() -> None:
     data = os.urandom(900_000)
-    assert LocalSession("edge1").run("cat", data, timeout=10.0).stdout == data
+    assert LocalSession("edge1").run("cat", data, timeout=patience(10)).stdout == data
 
 
 def test_command_that_does_not_read_is_no_error() -> None:
-    assert LocalSession("edge1").run("exec true", bytes(1 << 20), timeout=20).status == 0
+    assert LocalSession("edge1").run("exec true", bytes(1 << 20), timeout=patience(20)).status == 0
 
 
 def test_too_much_output_is_refused() -> None:
     with pytest.raises(ReplyError, match="more than 1000 bytes"):
-        LocalSession("edge1").run("yes", b"", timeout=20, limit=1000)
+        LocalSession("edge1").run("yes", b"", timeout=patience(20), limit=1000)
 
 
 def test_stream_yields_as_it_comes_and_ends_with_the_command() -> None:
     assert (
-        b"".join(LocalSession("edge1").stream("cat; sleep 0.1; echo more", b"first\n", idle_timeout=20))
+        b"".join(
+            LocalSession("edge1").stream("cat; sleep 0.1; echo more", b"first\n", idle_timeout=patience(20))
+        )
         == b"first\nmore\n"
     )
 
@@ -60,7 +64,7 @@ def test_silent_stream_meets_its_deadline() -> None:
 
 def test_closed_stream_ends_its_command(tmp_path: Path) -> None:
     running = LocalSession("edge1").stream(
-        f"echo $$ > {tmp_path}/pid; echo up; exec sleep 600", b"", idle_timeout=20
+        f"echo $$ > {tmp_path}/pid; echo up; exec sleep 600", b"", idle_timeout=patience(20)
     )
     assert next(running) == b"up\n"
     running.close()  # type: ignore[attr-defined]
@@ -70,5 +74,5 @@ def test_closed_stream_ends_its_command(tmp_path: Path) -> None:
 def test_nothing_is_left_open() -> None:
     before = len(list(Path("/proc/self/fd").iterdir()))
     for _ in range(5):
-        LocalSession("edge1").run("true", b"", timeout=20)
+        LocalSession("edge1").run("true", b"", timeout=patience(20))
     assert len(list(Path("/proc/self/fd").iterdir())) == before

@@ -59,8 +59,8 @@ def use_agent(lab: Lab, path: str, *lines: str) -> None:
 
 
 def can_log_in(host: Host, transport: SshTransport | None = None) -> bool:
-    with (transport or SshTransport()).connect(host, timeout=10) as session:
-        return session.run("echo in", b"", timeout=20).stdout == b"in\n"
+    with (transport or SshTransport()).connect(host, timeout=patience(10)) as session:
+        return session.run("echo in", b"", timeout=patience(20)).stdout == b"in\n"
 
 
 def test_key_of_the_agent(lab: Lab, tmp_path: Path) -> None:

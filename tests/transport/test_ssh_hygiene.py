@@ -38,11 +38,11 @@ def wait_until_released(threads: int, files: int) -> bool:
 def test_nothing_is_left_open(lab: Lab, tmp_path: Path) -> None:
     make_key(tmp_path / "stranger")
     transport = SshTransport()
-    transport.connect(lab.host("edge1"), timeout=10).close()
+    transport.connect(lab.host("edge1"), timeout=patience(10)).close()
     threads, files = threading.active_count(), count_open_files()
     for _ in range(5):
-        with transport.connect(lab.host("edge1", proxy_jump="robot1"), timeout=10) as session:
-            session.run("true", b"", timeout=20)
+        with transport.connect(lab.host("edge1", proxy_jump="robot1"), timeout=patience(10)) as session:
+            session.run("true", b"", timeout=patience(20))
     with run_mute_server() as port:
         for host in (
             lab.host("edge1", port=1),
@@ -53,31 +53,31 @@ def test_nothing_is_left_open(lab: Lab, tmp_path: Path) -> None:
                 transport.connect(host, timeout=1)
     lab.known_hosts.write_text("")
     with pytest.raises(HostError):
-        SshTransport().connect(lab.host("edge2"), timeout=20)
+        SshTransport().connect(lab.host("edge2"), timeout=patience(20))
     lab.write_files(key=tmp_path / "stranger")
     with pytest.raises(HostError):
-        SshTransport().connect(lab.host("edge2"), timeout=20)
+        SshTransport().connect(lab.host("edge2"), timeout=patience(20))
     assert wait_until_released(threads, files), [thread.name for thread in threading.enumerate()]
 
 
 def test_closing_is_quick_and_can_be_repeated(lab: Lab) -> None:
-    session = SshTransport().connect(lab.host("edge1"), timeout=10)
+    session = SshTransport().connect(lab.host("edge1"), timeout=patience(10))
     start = time.monotonic()
     session.close()
     session.close()
     assert time.monotonic() - start < 9, "paramiko waits for its thread for 10 s"
     with pytest.raises(ConnectError):
-        session.run("true", b"", timeout=20)
+        session.run("true", b"", timeout=patience(20))
 
 
 def test_closing_wakes_who_waits(lab: Lab) -> None:
-    session = SshTransport().connect(lab.host("edge1"), timeout=10)
+    session = SshTransport().connect(lab.host("edge1"), timeout=patience(10))
     with ThreadPoolExecutor(1) as pool:
-        waiting = pool.submit(session.run, "exec sleep 20", b"", timeout=20)
+        waiting = pool.submit(session.run, "exec sleep 20", b"", timeout=patience(20))
         time.sleep(0.2)
         session.close()
         with pytest.raises(ConnectError):
-            waiting.result(timeout=20)
+            waiting.result(timeout=patience(20))
 
 
 def test_no_file_of_fabric_is_executed_or_read(lab: Lab, tmp_path: Path) -> None:
@@ -105,7 +105,7 @@ def test_no_file_of_fabric_is_executed_or_read(lab: Lab, tmp_path: Path) -> None
         env=env,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=patience(60),
         check=False,
     )
     assert ran.stdout == "b'in\\n'\n", ran.stderr
@@ -117,7 +117,7 @@ def test_nothing_is_printed_when_a_login_fails(lab: Lab, capfd: pytest.CaptureFi
     with run_mute_server() as port, pytest.raises(HostError):
         SshTransport().connect(lab.host("edge1", host="127.0.0.1", port=port), timeout=0.5)
     with pytest.raises(HostError):
-        SshTransport().connect(lab.host("edge1", port=1), timeout=10)
+        SshTransport().connect(lab.host("edge1", port=1), timeout=patience(10))
     captured = capfd.readouterr()
     assert (captured.out, captured.err) == ("", "")
 
@@ -132,13 +132,13 @@ def test_a_busy_server_is_asked_again(tmp_path: Path, monkeypatch: pytest.Monkey
         with ThreadPoolExecutor(1) as pool:
             with socket.create_connection((server.address, server.port)) as first:
                 first.recv(4)  # it occupies the only slot
-                waiting = pool.submit(SshTransport().connect, lab.host("edge1"), timeout=60)
+                waiting = pool.submit(SshTransport().connect, lab.host("edge1"), timeout=patience(60))
                 deadline = time.monotonic() + patience(30)
                 while "drop connection" not in server.log:
                     assert time.monotonic() < deadline, server.log
                     time.sleep(0.05)
                 assert not waiting.done()
-            waiting.result(timeout=60).close()
+            waiting.result(timeout=patience(60)).close()
 
 
 def test_a_server_that_stays_busy_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -148,14 +148,14 @@ def test_a_server_that_stays_busy_is_given_up(tmp_path: Path, monkeypatch: pytes
         with socket.create_connection((server.address, server.port)) as first:
             first.recv(4)
             with pytest.raises(ConnectError, match="closes the connection before its SSH banner"):
-                SshTransport().connect(lab.host("edge1"), timeout=60)
+                SshTransport().connect(lab.host("edge1"), timeout=patience(60))
 
 
 def test_what_is_no_ssh_server(lab: Lab, tmp_path: Path) -> None:
     lab.write_files("Host odd\n  ProxyCommand printf 'HTTP/1.1 400 Bad Request\\r\\n\\r\\n'")
     start = time.monotonic()
     with pytest.raises(ConnectError, match="before its SSH banner"):
-        SshTransport().connect(lab.host("edge1", host="odd"), timeout=30)
+        SshTransport().connect(lab.host("edge1", host="odd"), timeout=patience(30))
     assert time.monotonic() - start < patience(15)
 
 
@@ -165,7 +165,7 @@ def test_a_server_that_talks_without_end(lab: Lab) -> None:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     start = time.monotonic()
     with pytest.raises(ConnectError):
-        SshTransport().connect(lab.host("edge1", host="odd"), timeout=30)
+        SshTransport().connect(lab.host("edge1", host="odd"), timeout=patience(30))
     assert time.monotonic() - start < patience(25)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000
 
@@ -187,7 +187,7 @@ def test_a_second_key_type_is_no_change(tmp_path: Path, monkeypatch: pytest.Monk
         monkeypatch.setenv("EDGECTL_SSH_CONFIG", str(lab.ssh_config))
         server = lab["edge1"]
         lab.known_hosts.write_text(f"[{server.address}]:{server.port} {rsa.with_suffix('.pub').read_text()}")
-        SshTransport().connect(lab.host("edge1"), timeout=10).close()
+        SshTransport().connect(lab.host("edge1"), timeout=patience(10)).close()
 
 
 def test_connections_are_made_in_many_threads(lab: Lab) -> None:

@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 
+from edgectl.cli.exit_codes import of_status
+from edgectl.errors import ExitCode
 from edgectl.model.snapshot import TaskState
 from edgectl.views.state import format_task_state
 from edgectl.views.status import StatusView
-from tests.builders import a_run
+from tests.builders import a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 from tests.views.fixtures import fleet, show
 
 
@@ -51,3 +53,22 @@ def test_status_ends_with_last_words_and_limits_that_do_not_hold() -> None:
     assert "note: broken is given up; edgectl restart broken, or a changed spec, starts it again" in lines
     assert f"note: limited on {host}: limits: not enforced: lingering is off for edge" in lines
     assert not any("\x1b" in line or "held on" in line for line in lines)
+
+
+def test_status_says_first_what_is_not_alive_and_counts_it_as_a_failure() -> None:
+    """Its processes run, so nothing else would."""
+    inventory, tasks = an_inventory(an_edge("edge1")), some_tasks(a_task("slam"), a_task("nav"))
+    sick = a_run(TaskState.UNHEALTHY, detail="node /slam is not registered")
+    shown = {}
+    for run in (sick, a_run()):
+        seen = a_snapshot({"edge1": a_sample(tasks={"slam": run})})
+        line = show(StatusView(seen, inventory, tasks)).splitlines()[0]
+        shown[run.state] = (
+            line == "1 of 2 tasks unhealthy: slam on edge1",
+            of_status(seen, inventory, tasks),
+        )
+    assert shown == {
+        TaskState.UNHEALTHY: (True, ExitCode.PARTLY),
+        TaskState.READY: (False, ExitCode.DONE),
+    }
+    assert format_task_state(sick) == "unhealthy (node /slam is not registered)"

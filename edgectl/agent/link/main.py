@@ -111,7 +111,7 @@ def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C90
     elif name == protocol.OP_MARK:
         from ..supervise.status import mark_ready as operation
     elif name == protocol.OP_CHECK:
-        from ..supervise.shell import run_check as operation
+        from ..ros.question import run_check as operation
     elif name == protocol.OP_LEASE:
         from ..supervise.lease import serve_lease as operation
     elif name == protocol.OP_LOGS:

@@ -42,8 +42,8 @@ CLAIM_KEYS = ("holder", "session", "manager", "revision", "who", "verb", "ttl_s"
 # the agent to itself.
 REQUEST_KEYS = {
     OP_ADOPT: ("tasks", "former"),
-    OP_CHECK: ("command", "prelude", "env", "timeout_s"),
-    OP_DOCTOR: ("links", "prelude", "env", "timeout_s"),
+    OP_CHECK: ("command", "graph", "prelude", "ros", "env", "timeout_s"),
+    OP_DOCTOR: ("links", "prelude", "ros", "packages", "env", "timeout_s"),
     OP_FETCH: ("task", "workdir", "file", "most", "offset"),
     OP_FOLLOW: ("task", "tail"),
     OP_LEASE: ("action", "lease", "end_watch"),
@@ -72,6 +72,8 @@ SPEC_KEYS = (
     "restart",
     "stop",
     "ready",
+    "alive",
+    "ros",
     "log",
     "limits",
     "runtime",
@@ -79,6 +81,7 @@ SPEC_KEYS = (
     "spec_hash",
     "fields",
     "file",
+    "needed",
 )
 # Keys of the entry of a task in a reply; the last line is measured by OP_PROBE alone.
 ENTRY_KEYS = (
@@ -89,6 +92,7 @@ ENTRY_KEYS = (
     "spec_hash",
     "fields",
     "file",
+    "needed",
     "generation",
     "managed",
     "restarts",
@@ -155,13 +159,17 @@ PROBE_KEYS = (
 STARTING = "starting"
 RUNNING = "running"
 READY = "ready"
+UNHEALTHY = "unhealthy"
 COMPLETED = "completed"
 FAILED = "failed"
 CRASHLOOP = "crashloop"
 STOPPED = "stopped"
-ALIVE_STATES = (STARTING, RUNNING, READY)
+ALIVE_STATES = (STARTING, RUNNING, READY, UNHEALTHY)
 FAILED_STATES = (FAILED, CRASHLOOP)
 FINAL_STATES = (COMPLETED, FAILED, CRASHLOOP, STOPPED)
+
+# ``exit`` in the reply to OP_CHECK where the ROS graph was to be asked and nobody could be.
+UNKNOWN_EXIT = 2
 
 # States of the replies to OP_START, OP_STOP and OP_PROFILER_*.
 STARTED = "started"

@@ -9,6 +9,7 @@ import time
 
 from ..link import boot, protocol
 from ..link.fast_json import Document
+from ..ros import facts, local
 from ..supervise import logind, scope, shell, state_dir
 from . import device, network
 
@@ -23,11 +24,17 @@ def collect_facts(request: Document) -> Document:
     """Collect the facts without changing anything."""
     began, wall = time.monotonic(), time.time()
     shell.install_deadline_handlers()
+    request = local.fill_request(dict(request, command=""))
+    ros = request.get("ros") or {"setup": []}
+    missing = facts.find_missing_files(ros)
+    env = dict(request.get("env") or {}, EDGECTL_PACKAGES=" ".join(request.get("packages") or []))
     seen = shell.ShellCommand(
         _build_script(request.get("prelude", "")),
         "",
-        request.get("env"),
+        env,
         float(request.get("timeout_s", 8.0)),
+        None,
+        [path for path in ros["setup"] if path not in missing],
     )
     addresses = network.resolve_robots(request.get("links", []))
     probes = network.ConnectProbes(addresses)
@@ -46,8 +53,14 @@ def collect_facts(request: Document) -> Document:
         ),
         "memory": device.read_memory(),
         "links": {robot: _build_link_facts(found, robot, probes) for robot, found in addresses.items()},
-        "surroundings": parse_surroundings(seen.result()),
     }
+    result = seen.result()
+    answer["surroundings"] = parse_surroundings(result)
+    if request.get("ros"):
+        answer["ros"] = dict(
+            facts.read_ros_facts(ros, request.get("links", [])),
+            missing_packages=_parse_missing_packages(result),
+        )
     seconds = time.monotonic() - began
     return dict(answer, clock={"began": wall, "ended": wall + seconds})
 
@@ -117,7 +130,12 @@ def _build_script(prelude: str) -> str:
     them.
     """
     show = " ".join('"%s=$%s"' % (name, name) for name in ROS_VARIABLES)
-    return "%s\nset -- $?\necho\necho '%s' $1\n/bin/sh -c 'printf \"%%s\\n\" %s'" % (prelude, _MARK, show)
+    return "%s\nset -- $?\necho\necho '%s' $1\n/bin/sh -c 'printf \"%%s\\n\" %s'\n%s" % (
+        prelude,
+        _MARK,
+        show,
+        facts.FIND_PACKAGES,
+    )
 
 
 def parse_surroundings(result: Document) -> Document:
@@ -132,3 +150,12 @@ def parse_surroundings(result: Document) -> Document:
         "said": said[-1][-200:] if said else "",
         "variables": {name: found.get(name, "") for name in ROS_VARIABLES},
     }
+
+
+def _parse_missing_packages(result: Document) -> "list[str]":
+    """Parse the packages that the script did not find; none where it did not come so far."""
+    for line in str(result["output"]).splitlines():
+        name, _, value = line.partition("=")
+        if name == facts.PACKAGES_VARIABLE:
+            return value.split()
+    return []

@@ -15,6 +15,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Mapping
 
+    from ..supervise.spec_check import RunningCheck
+
 _MAX_WINDOW_S = 30.0
 _MIN_CONNECT_S = 0.02
 
@@ -93,6 +95,7 @@ def _read_profiler(request: Document) -> "tuple[Document, _RunningChecks] | None
     return (
         found,
         _RunningChecks(
+            request["host"],
             request.get("checks", []),
             {name: each["state"] in protocol.ALIVE_STATES for name, each in found["tasks"].items()},
         ),
@@ -105,7 +108,7 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
     addresses = network.resolve_robots(request.get("links", []))
     peers = network.resolve_robots(request.get("peers", []))
     tasks = TaskMeter(request["host"], request.get("detect", []))
-    checks = _RunningChecks(request.get("checks", []), tasks.before)
+    checks = _RunningChecks(request["host"], request.get("checks", []), tasks.before)
     traffic, totals = network.TrafficMeter(dict(addresses, **peers)), network.read_interface_bytes()
     cpu, started = device.CpuMeter(), time.monotonic()
     probes = network.ConnectProbes(addresses)
@@ -151,22 +154,16 @@ def _list_generations(hosts: "list[str]", measured: "dict[str, Document]") -> "d
 class _RunningChecks:
     """The checks that are due, running beside the sample window."""
 
-    def __init__(self, rules: "list[Document]", alive: "Mapping[str, object]") -> None:
+    def __init__(self, host: str, rules: "list[Document]", alive: "Mapping[str, object]") -> None:
         """``alive``: tasks that live, by truth value; checks of others run only with ``always``."""
         due = [rule for rule in rules if rule.get("always") or alive.get(str(rule["task"]))]
-        self._commands: "dict[str, shell.ShellCommand]" = {}
+        self._running: "dict[str, RunningCheck]" = {}
         if not due:
             return
-        from ..supervise import shell
+        from ..ros.question import start_rules
 
-        shell.install_deadline_handlers()
-        self._commands = {
-            str(rule["task"]): shell.ShellCommand(
-                rule["command"], rule.get("prelude", ""), rule.get("env"), float(rule.get("timeout_s", 10.0))
-            )
-            for rule in due
-        }
+        self._running = start_rules(due, host)
 
     def results(self) -> "dict[str, Document]":
         """Wait for the checks, each up to its own timeout: task -> result."""
-        return {task: command.result() for task, command in self._commands.items()}
+        return {task: check.result() for task, check in self._running.items()}

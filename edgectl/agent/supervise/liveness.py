@@ -140,6 +140,7 @@ def build_entry(found: InstanceRecord, alive: bool) -> Document:
         "spec_hash": instance.get("spec_hash", ""),
         "fields": instance.get("fields") or {},
         "file": instance.get("file", ""),
+        "needed": instance.get("needed", ""),
         "generation": instance.get("generation", 0),
         "managed": True,
         "restarts": status.get("restarts", 0),

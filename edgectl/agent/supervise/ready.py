@@ -3,7 +3,7 @@
 import time
 
 from ..link.fast_json import Document
-from . import shell
+from . import spec_check
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -19,13 +19,16 @@ class ReadyCheck:
 
     def __init__(self, spec: Document, env: "Mapping[str, str]") -> None:
         self._spec, self._env = spec, env
-        self._running: "shell.ShellCommand | None" = None
+        self._running: "spec_check.RunningCheck | None" = None
+        # Why the last try failed, where it was a question to the ROS graph.
+        self.fault = ""
         self._next: "float | None" = None
         self._pause_s = _FIRST_PAUSE_S
 
     def begin(self) -> None:
         """Check from now on, anew for each start of the command."""
         self._next, self._pause_s = time.monotonic() if self._spec.get("ready") else None, _FIRST_PAUSE_S
+        self.fault = ""
 
     def poll(self) -> bool:
         """Whether the check has just succeeded. Starts it where it is due."""
@@ -35,19 +38,18 @@ class ReadyCheck:
                 return False
             self._running = None
             if result["exit"] == 0:
-                self._next = None
+                self._next, self.fault = None, ""
                 return True
+            if self._spec["ready"].get("graph"):
+                self.fault = spec_check.describe_fault(self._spec["ready"], result)
         elif self._next is not None and time.monotonic() >= self._next:
             self._next = time.monotonic() + self._pause_s
             self._pause_s = min(_MAX_PAUSE_S, self._pause_s * 1.5)
             self._running = self._start()
         return False
 
-    def _start(self) -> shell.ShellCommand:
-        spec, ready = self._spec, self._spec["ready"]
-        limit = min(_MAX_TRY_S, float(ready.get("timeout_s") or _MAX_TRY_S))
-        folder = shell.resolve_workdir(spec.get("workdir"), self._env)
-        return shell.ShellCommand(ready["command"], spec.get("prelude") or "", self._env, limit, folder)
+    def _start(self) -> "spec_check.RunningCheck":
+        return spec_check.start_check(self._spec["ready"], self._spec, self._env, _MAX_TRY_S)
 
     def compute_wait_s(self, now: float) -> "float | None":
         """Seconds until `poll` has something to do; None: never."""
@@ -57,11 +59,11 @@ class ReadyCheck:
 
     def owns_process(self, pid: int) -> bool:
         """Whether ``pid`` is the process of the running check, which reaps it itself."""
-        return self._running is not None and pid == self._running.process.pid
+        return self._running is not None and pid == self._running.pid
 
     def cancel(self) -> None:
         """Kill a running check and start no other."""
-        self._next = None
+        self._next, self.fault = None, ""
         if self._running is not None:
             self._running.end()
             self._running = None

@@ -11,7 +11,7 @@ from ..link.fast_json import Document
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import Mapping, NoReturn
+    from typing import Any, Mapping, NoReturn, Sequence
 
 _KEPT_BYTES = 2048
 # Variables of the SSH login and of the manager's systemd unit, which do not apply to a task.
@@ -25,10 +25,32 @@ _DROPPED_VARIABLES = (
 )
 
 
-def build_argv(command: str, prelude: str) -> "list[str]":
-    """Build the argument vector that runs ``prelude`` and then ``command`` in one shell."""
+# Sources the files of its arguments, then becomes the rest of them. It has no text of the user, and what it
+# sources sees no arguments: set-up files of ROS 1 take theirs for options.
+_SOURCE_FILES = """_edgectl_count=$1; shift
+_edgectl_files=("${@:1:_edgectl_count}"); shift "$_edgectl_count"; _edgectl_command=("$@"); set --
+for _edgectl_file in "${_edgectl_files[@]}"; do
+  case $_edgectl_file in "~/"*) _edgectl_file=$HOME/${_edgectl_file:2};; esac
+  [ -r "$_edgectl_file" ] || { echo "edgectl: set-up file $_edgectl_file cannot be read" >&2; exit 126; }
+  . "$_edgectl_file"
+done
+exec "${_edgectl_command[@]}"
+"""
+
+
+def build_argv(command: str, prelude: str, setup: "Sequence[str]" = ()) -> "list[str]":
+    """Build the argument vector that runs ``prelude`` and then ``command`` in one shell.
+
+    ``setup``: files that another shell sources before it becomes that one.
+    """
     shell = "/bin/bash" if os.access("/bin/bash", os.X_OK) else "/bin/sh"
-    return [shell, "-c", prelude + "\n" + command if prelude else command]
+    argv = [shell, "-c", prelude + "\n" + command if prelude else command]
+    return build_sourced_argv(setup, argv) if setup else argv
+
+
+def build_sourced_argv(setup: "Sequence[str]", argv: "list[str]") -> "list[str]":
+    """Build the argument vector that sources the files and becomes ``argv``; only bash can source them."""
+    return ["/bin/bash", "-c", _SOURCE_FILES, "edgectl", str(len(setup)), *setup, *argv]
 
 
 def build_environment(extra: "Mapping[str, object] | None") -> "dict[str, str]":
@@ -41,7 +63,8 @@ def build_environment(extra: "Mapping[str, object] | None") -> "dict[str, str]":
 class ShellCommand:
     """A check that runs beside other work; its whole process group ends with it."""
 
-    running: "set[ShellCommand]" = set()
+    # Also questions to the ROS graph, which have the same interface.
+    running: "set[Any]" = set()
 
     def __init__(
         self,
@@ -50,6 +73,7 @@ class ShellCommand:
         env: "Mapping[str, object] | None",
         timeout_s: float,
         cwd: "str | None" = None,
+        setup: "Sequence[str]" = (),
     ) -> None:
         # Imported on demand: 2 MB in every supervisor without a check.
         import subprocess
@@ -60,7 +84,7 @@ class ShellCommand:
         os.set_blocking(self.pipe, False)
         try:
             self.process = subprocess.Popen(
-                build_argv(command, prelude),
+                build_argv(command, prelude, setup),
                 stdin=subprocess.DEVNULL,
                 stdout=end,
                 stderr=end,
@@ -73,6 +97,7 @@ class ShellCommand:
             raise
         finally:
             os.close(end)
+        self.pid = self.process.pid
         ShellCommand.running.add(self)
 
     def poll(self) -> "Document | None":
@@ -127,14 +152,6 @@ def install_deadline_handlers() -> None:
     """From here on the deadline of the request also ends the checks that were started."""
     for number in (signal.SIGALRM, signal.SIGTERM):
         signal.signal(number, end_all_commands)
-
-
-def run_check(request: Document) -> Document:
-    """Operation ``check``: run one command now."""
-    install_deadline_handlers()
-    return ShellCommand(
-        request["command"], request.get("prelude", ""), request.get("env"), float(request["timeout_s"])
-    ).result()
 
 
 def resolve_workdir(workdir: "str | None", env: "Mapping[str, str]") -> str:

@@ -12,9 +12,11 @@ from ..measure import proc
 from . import liveness, lockfile, logind, records, scope, state_dir, status
 from .liveness import InstanceRecord
 
-_TRIES, _TRY_S = 10, 0.03
+# A start on a busy host may take seconds.
+_TRIES, _TRY_S = 100, 0.05
 _MAX_FILE = 200
 _MAX_MANAGER_LENGTH = 100
+_MAX_NEEDED = 120
 
 
 def start_task(request: Document) -> Document:
@@ -52,12 +54,13 @@ def _has_completed(record: InstanceRecord, instance: str) -> bool:
 
 
 def _wait_for_record(folder: str) -> InstanceRecord:
-    """Wait for the record of the concurrent start that took the lock."""
+    """Wait for the record of the concurrent start that took the lock, while it holds that."""
+    record = liveness.read_instance(folder)
     for _ in range(_TRIES):
-        record = liveness.read_instance(folder)
-        if record.status.get("pid"):
+        if record.status.get("pid") or not record.locked:
             break
         time.sleep(_TRY_S)
+        record = liveness.read_instance(folder)
     return record
 
 
@@ -76,14 +79,19 @@ def _build_running_reply(record: InstanceRecord) -> Document:
 def _launch_task(folder: str, lock: int, request: Document, task_scope: scope.Scope) -> Document:
     from .launch import launch_supervisor
 
+    spec = request["spec"]
+    if spec.get("ros"):
+        from ..ros.local import fill_request
+        from ..ros.question import start_helpers
+
+        spec = fill_request(spec)
+        start_helpers(spec, request["host"])
     generation = {"generation": int(request["generation"])}
     records.write_record(os.path.join(folder, "generation"), generation, durable=True)
     records.write_record(os.path.join(folder, "mark"), {})
     # The first request to a host has no directory for its heartbeat yet.
     heartbeat.record_heartbeat(request["host"])
-    report = launch_supervisor(
-        folder, lock, _build_identity(request, request["spec"]), request["spec"], task_scope
-    )
+    report = launch_supervisor(folder, lock, _build_identity(request, spec), spec, task_scope)
     if "error" in report:
         raise RefusalError("start-failed", report["error"], "check the task's command, workdir and env")
     limits = "" if report["limits"] in ("", "enforced") else "limits: " + report["limits"]
@@ -113,6 +121,7 @@ def _build_identity(request: Document, spec: Document) -> Document:
         "ready_check": bool(spec.get("ready")),
         "fields": _trim_fields(spec.get("fields")),
         "file": str(spec.get("file", ""))[:_MAX_FILE],
+        "needed": str(spec.get("needed") or "")[:_MAX_NEEDED],
         "boot_id": proc.read_boot_id(),
         "machine_id": proc.read_machine_id(),
     }

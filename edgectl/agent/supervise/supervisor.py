@@ -14,6 +14,7 @@ from ..link import fast_json, heartbeat, protocol
 from ..link.fast_json import Document
 from ..measure import metrics, proc
 from . import backoff, liveness, lockfile, records, scope, shell, signals, spawn
+from .alive import AliveCheck
 from .logfile import LogWriter
 from .ready import ReadyCheck
 
@@ -74,7 +75,7 @@ class Supervisor:
             proc.read_uptime_s(),
             0.0,
         )
-        self.ready = ReadyCheck(spec, self.env)
+        self.ready, self.alive = ReadyCheck(spec, self.env), AliveCheck(spec, self.env)
         self.next_metrics = 0.0
         self.wake, self._wake_end = os.pipe()
         if orphan is not None:
@@ -137,7 +138,8 @@ class Supervisor:
             if self.lock < 0:
                 raise OSError("the lock of the task is held by a process that it left")
         self.adopted = False
-        argv = shell.build_argv(self.spec["command"], self.spec.get("prelude") or "")
+        setup = (self.spec.get("ros") or {}).get("setup") or ()
+        argv = shell.build_argv(self.spec["command"], self.spec.get("prelude") or "", setup)
         self.pid, self.pipe = spawn.spawn_command(argv, self.env, self.spec.get("workdir"), self.lock)
         process = proc.read_process(self.pid)
         self.ticks, self.started = process.ticks if process is not None else -1, time.monotonic()
@@ -161,8 +163,9 @@ class Supervisor:
                 self._copy_output()
             else:
                 _drain_fd(fd)
-        if self.ready.poll():
-            self._record_status(state=protocol.READY, detail="")
+        # Before the children are reaped: the process of a check that has ended stands in their way.
+        self._ask_readiness()
+        self._ask_health()
         ended = self._reap_children()
         if ended is not None:
             self._handle_end(ended)
@@ -186,9 +189,8 @@ class Supervisor:
             times.append(self.next_look - now)
         if self.next_start is not None:
             times.append(self.next_start - now)
-        check_in_s = self.ready.compute_wait_s(now)
-        if check_in_s is not None:
-            times.append(check_in_s)
+        checks = (self.ready.compute_wait_s(now), self.alive.compute_wait_s(now))
+        times.extend(each for each in checks if each is not None)
         return max(0.0, min(times)) * 1000.0 + 1.0
 
     def _limit_metrics(self) -> None:
@@ -215,16 +217,61 @@ class Supervisor:
                 seen = os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
             except ChildProcessError:
                 return ended
-            if seen is None or self.ready.owns_process(seen.si_pid):
+            if seen is None or self._owns_check(seen.si_pid):
                 return ended
             pid, code = os.waitpid(seen.si_pid, 0)
             if pid == self.pid:
                 self.code = ended = code
 
+    def _owns_check(self, pid: int) -> bool:
+        return self.ready.owns_process(pid) or self.alive.owns_process(pid)
+
+    def _cancel_checks(self) -> None:
+        self.ready.cancel()
+        self.alive.cancel()
+
+    def _ask_readiness(self) -> None:
+        if self.ready.poll():
+            self._record_status(state=protocol.READY, detail="")
+        elif self.ready.fault and self.status["detail"] != self.ready.fault:
+            self._record_status(detail=self.ready.fault)
+
+    def _ask_health(self) -> None:
+        """Record whether the task is alive; restart it where its spec says so."""
+        if self.stopping:
+            self.alive.cancel()
+        if not self.pid or self.stopping or self.status["state"] == protocol.STARTING:
+            return
+        self.alive.begin()
+        fault = self.alive.poll()
+        if fault is None:
+            return
+        if fault and self.spec["alive"].get("restart"):
+            self._restart_unhealthy(fault)
+        elif fault and (self.status["state"], self.status["detail"]) != (protocol.UNHEALTHY, fault):
+            self._record_status(state=protocol.UNHEALTHY, detail=fault)
+        elif not fault and self.status["state"] == protocol.UNHEALTHY:
+            state = protocol.READY if self.spec.get("ready") else protocol.RUNNING
+            self._record_status(state=state, detail="")
+
+    def _restart_unhealthy(self, fault: str) -> None:
+        """End the task as a stop does, and start it again by the rules of a crash."""
+        self._record_status(state=protocol.UNHEALTHY, detail=fault)
+        self.log.write(("edgectl: not alive: %s; restarting\n" % fault).encode("utf-8", "replace"))
+        self._cancel_checks()
+        ran_s = time.monotonic() - self.started
+        left = self._end_tree(signals.list_stop_steps(self.spec.get("stop") or {}), forced=True)
+        outcome = dict(spawn.describe_exit(self.code), detail="not alive: " + fault)
+        self.pid, self.status["last_exit"] = 0, outcome["exit_code"]
+        if self.stopping or left:
+            state = protocol.FAILED if left else protocol.STOPPED
+            return self._record_status(state=state, pid=0, left=left, **outcome)
+        return self._schedule_restart(ran_s, outcome)
+
     def _handle_end(self, code: int) -> None:
         """Handle the end of the main process: clear its leftovers, then restart it or record the end."""
         ran_s, self.pid = time.monotonic() - self.started, 0
-        self.ready.cancel()
+        self._cancel_checks()
         left = self._end_tree(_LEFTOVERS)
         outcome = spawn.describe_exit(code)
         self.status["last_exit"] = outcome["exit_code"]
@@ -281,7 +328,7 @@ class Supervisor:
         self.next_look = time.monotonic() + min(_HEARTBEAT_CHECK_S, left_s)
         if left_s > 0 or not (self.pid or self.next_start is not None):
             return
-        self.ready.cancel()
+        self._cancel_checks()
         left = self._end_tree(signals.list_stop_steps(self.spec.get("stop") or {}), forced=True)
         outcome = spawn.describe_exit(self.code) if self.pid else {"exit_code": self.status["exit_code"]}
         self.pid, self.next_start = 0, None

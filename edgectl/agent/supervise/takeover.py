@@ -43,9 +43,16 @@ def take_over_task(request: Document) -> Document:
             "edgectl restart " + task,
         )
     heartbeat.record_heartbeat(host)
+    spec = request["spec"]
+    if spec.get("ros"):
+        from ..ros.local import fill_request
+        from ..ros.question import start_helpers
+
+        spec = fill_request(spec)
+        start_helpers(spec, host)
     lock = lockfile.take_lock(record.folder)
     try:
-        report = launch_takeover(record, lock, guard, request["spec"])
+        report = launch_takeover(record, lock, guard, spec)
     finally:
         _close_lock(lock)
         _close_lock(guard)

@@ -8,6 +8,7 @@ from pathlib import Path
 from tests.experiments.lab.hosts import CORES, lab, spent
 from tests.experiments.lab.mission import ROOT
 from tests.faults.namespace_host import NamespaceHost
+from tests.pace import patience
 
 
 def test_hosts_with_the_programs_on_them(tmp_path: Path) -> None:
@@ -15,7 +16,13 @@ def test_hosts_with_the_programs_on_them(tmp_path: Path) -> None:
         files = ["-i", str(made.site / "fleet.yaml"), "-t", str(made.site / "tasks.yaml")]
         command = [*made.prefix, sys.executable, "-m", "edgectl", "plan", *files, "-o", "json"]
         done = subprocess.run(
-            command, env=made.environment, cwd=ROOT, capture_output=True, text=True, timeout=90, check=False
+            command,
+            env=made.environment,
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            timeout=patience(90),
+            check=False,
         )
         assert done.returncode == 0, done.stderr
         plan = json.loads(done.stdout)

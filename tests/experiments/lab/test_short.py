@@ -11,6 +11,7 @@ from edgectl.experiments.files.run_directory import load_run
 from edgectl.scaffold.write import write_scaffold
 from tests.docs.blocks import environment, stopped
 from tests.experiments.lab.spec import shortened
+from tests.pace import patience
 
 
 def a_tiny_site(directory: Path) -> Path:
@@ -51,7 +52,7 @@ def test_a_tiny_mission_under_two_schemes(tmp_path: Path) -> None:
     fleet = {"EDGECTL_INVENTORY": "tasks/mission/fleet.yaml", "EDGECTL_TASKS": "tasks/mission/tasks.yaml"}
     with stopped(site, env | fleet):
         done = subprocess.run(
-            command, cwd=site, env=env, capture_output=True, text=True, timeout=200, check=False
+            command, cwd=site, env=env, capture_output=True, text=True, timeout=patience(200), check=False
         )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)

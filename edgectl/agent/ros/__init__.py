@@ -1,0 +1,1 @@
+"""The ROS graph as this host sees it, and the addresses by which others see this host."""

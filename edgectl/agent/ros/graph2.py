@@ -1,0 +1,172 @@
+"""Questions to the graph of ROS 2, asked of a helper that stays while tasks of this host live.
+
+Who joins a graph of ROS 2 needs a second or two until it knows the others. So one helper per host and domain
+does it once, in the environment of the set-up files, and every question takes milliseconds.
+"""
+
+import _signal as signal
+import os
+import struct
+import sys
+import time
+
+from ..link import boot, fast_json, protocol
+from ..link.fast_json import Document
+from ..measure.sockets import socket
+from ..supervise import shell, spawn, state_dir, status
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any, Mapping, NoReturn
+
+# What a node's discovery depends on.
+_VARIABLES = (
+    "ROS_DOMAIN_ID",
+    "RMW_IMPLEMENTATION",
+    "ROS_DISCOVERY_SERVER",
+    "ROS_LOCALHOST_ONLY",
+    "ROS_AUTOMATIC_DISCOVERY_RANGE",
+    "ROS_STATIC_PEERS",
+    "CYCLONEDDS_URI",
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "FASTDDS_DEFAULT_PROFILES_FILE",
+)
+# How long a helper that was just started may take to be there.
+_CONNECT_S, _RETRY_S = 8.0, 0.05
+# So often the keeper looks for living tasks; without any twice in a row, it ends the helper.
+_LOOK_S, _POLL_S, _REST_S = 10.0, 0.5, 2.0
+_NO_HELPER = "the helper for ROS 2 is not there: python3 of the set-up files may have no rclpy"
+
+
+class NoHelperError(Exception):
+    """Nothing is known of the graph: there is no helper."""
+
+
+def build_helper_name(env: "Mapping[str, str]", setup: "list[str]") -> str:
+    """Build the name of the socket of the helper for this environment; another for each host of an
+    inventory.
+    """
+    parts = [state_dir.get_fleet(), env.get("EDGECTL_HOST", ""), *setup]
+    parts += [env.get(name, os.environ.get(name, "")) for name in _VARIABLES]
+    return "edgectl-ros2-%d-%s" % (os.geteuid(), boot.compute_sha256("\0".join(parts).encode())[:16])
+
+
+def find_fault(
+    asked: Document, env: "Mapping[str, str]", deadline: float, setup: "list[str]"
+) -> "tuple[str, str]":
+    """Find (the first condition of ``asked`` that does not hold, nothing): the process is not known.
+
+    The fault is empty where all hold.
+
+    Raises:
+        NoHelperError: there is no helper, or none that answers.
+    """
+    made = _connect(build_helper_name(env, setup), min(deadline, time.monotonic() + _CONNECT_S))
+    try:
+        made.sendall(fast_json.dumps(asked).encode("utf-8"))
+        answer = b""
+        while True:
+            made.settimeout(max(0.01, deadline - time.monotonic()))
+            part = made.recv(1 << 16)
+            if not part:
+                break
+            answer += part
+    except OSError as error:
+        raise NoHelperError("the helper for ROS 2 does not answer in time") from error
+    finally:
+        made.close()
+    if not answer.startswith(b"="):
+        raise NoHelperError("the helper for ROS 2 ended")
+    return answer[1:].decode("utf-8", "replace"), ""
+
+
+def _connect(name: str, deadline: float) -> "socket.socket":
+    """Connect to the helper of this user. Raises NoHelperError."""
+    while True:
+        made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            made.connect("\0" + name)
+            credentials = made.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12)
+            if struct.unpack("3i", credentials)[1] == os.geteuid():
+                return made
+        except OSError:
+            pass
+        made.close()
+        if time.monotonic() >= deadline:
+            raise NoHelperError(_NO_HELPER)
+        time.sleep(_RETRY_S)
+
+
+def ensure_helper(host: str, env: "Mapping[str, str]", setup: "list[str]") -> None:
+    """Start the helper where it is not there, in a session of its own; it is not waited for."""
+    name = build_helper_name(env, setup)
+    if _is_there(name):
+        return
+    loader: "Any" = sys.modules[__name__].__loader__
+    program = loader.read_sources()["edgectl_agent/ros/helper2.py"]
+    child = os.fork()
+    if child == 0:
+        _detach_keeper(host, env, setup, name, program)
+    os.waitpid(child, 0)
+
+
+def _is_there(name: str) -> bool:
+    try:
+        _connect(name, 0.0).close()
+    except NoHelperError:
+        return False
+    return True
+
+
+def _detach_keeper(
+    host: str, env: "Mapping[str, str]", setup: "list[str]", name: str, program: bytes
+) -> "NoReturn":
+    """In the first child: a second one in a session of its own, which no supervisor and no login ends."""
+    try:
+        os.setsid()
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        if os.fork() == 0:
+            spawn.clean_process(())
+            _keep_helper(host, env, setup, name, program)
+    finally:
+        os._exit(0)
+
+
+def _keep_helper(host: str, env: "Mapping[str, str]", setup: "list[str]", name: str, program: bytes) -> None:
+    """Run the helper while tasks live; start it again where it fails."""
+    begun, unused, next_look = time.monotonic(), 0, time.monotonic() + _LOOK_S
+    pid = _start_helper(env, setup, name, program)
+    while unused < 2:
+        time.sleep(_POLL_S)
+        ended, code = os.waitpid(pid, os.WNOHANG)
+        if ended and (code == 0 or time.monotonic() - begun < _LOOK_S):
+            # Another one has the name, or this one cannot live.
+            return
+        if ended:
+            time.sleep(_REST_S)
+            begun, pid = time.monotonic(), _start_helper(env, setup, name, program)
+        if time.monotonic() >= next_look:
+            next_look = time.monotonic() + _LOOK_S
+            entries = status.list_entries(host, None).values()
+            lives = any(entry["state"] in protocol.ALIVE_STATES for entry in entries)
+            unused = 0 if lives else unused + 1
+    os.kill(pid, signal.SIGKILL)
+
+
+def _start_helper(env: "Mapping[str, str]", setup: "list[str]", name: str, program: bytes) -> int:
+    """Start the helper without the marks of any task; it gets its program on standard input."""
+    source, source_end = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        os.dup2(source, 0)
+        spawn.close_other_fds({0, 1, 2})
+        clean = {key: text for key, text in shell.build_environment(env).items() if key[:8] != "EDGECTL_"}
+        argv = shell.build_sourced_argv(setup, ["python3", "-", name])
+        try:
+            os.execve(argv[0], argv, clean)  # noqa: S606 - the program is a constant
+        finally:
+            os._exit(127)
+    os.close(source)
+    with open(source_end, "wb") as pipe:
+        pipe.write(program)
+    return pid

@@ -1,0 +1,129 @@
+"""Helper that knows the graph of ROS 2: one per host and domain, run by the Python of the set-up files.
+
+The agent sends its text to ``python3 -``, and what it needs of ROS it finds there. It answers one question
+per connection on an abstract socket: a JSON object in, ``=`` and the fault as text out, empty for none.
+"""
+
+import importlib
+import json
+import os
+import socket
+import struct
+import sys
+import threading
+import time
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
+_POLL_S, _SERVICE_S = 0.02, 2.0
+_MOST_BYTES = 1 << 16
+# How long a name that is asked for the first time may take to be discovered.
+_DISCOVERY_S = 1.0
+
+
+class Graph:
+    """One node of its own that looks at the others."""
+
+    def __init__(self) -> None:
+        self.rclpy: "Any" = importlib.import_module("rclpy")
+        self.rclpy.init(args=[])
+        self.node = self.rclpy.create_node("edgectl_%d" % os.getpid(), enable_rosout=False)
+        self.clients: "dict[str, Any]" = {}
+        executors: "Any" = importlib.import_module("rclpy.executors")
+        executor = executors.SingleThreadedExecutor()
+        executor.add_node(self.node)
+        threading.Thread(target=executor.spin, daemon=True).start()
+
+    def find_fault(self, asked: "dict[str, Any]") -> str:
+        """Find the first condition that does not hold; empty where all do."""
+        if asked.get("node") and not _wait_for(lambda: asked["node"] in self._list_nodes(), _DISCOVERY_S):
+            return "node %s is not in the graph" % asked["node"]
+        if asked.get("lifecycle"):
+            state = self._read_lifecycle(asked["node"])
+            if state != asked["lifecycle"]:
+                return "node %s is %s, not %s" % (asked["node"], state, asked["lifecycle"])
+        if asked.get("topic") and not self._hear(asked["topic"]["name"], float(asked["topic"]["within_s"])):
+            return "no message on %s within %g s" % (asked["topic"]["name"], asked["topic"]["within_s"])
+        if asked.get("service"):
+            wanted = asked["service"]
+            if not _wait_for(lambda: wanted in dict(self.node.get_service_names_and_types()), _DISCOVERY_S):
+                return "service %s is not offered" % wanted
+        return ""
+
+    def _list_nodes(self) -> "set[str]":
+        return {space.rstrip("/") + "/" + name for name, space in self.node.get_node_names_and_namespaces()}
+
+    def _read_lifecycle(self, node: str) -> str:
+        if node not in self.clients:
+            kind: "Any" = importlib.import_module("lifecycle_msgs.srv").GetState
+            self.clients[node] = self.node.create_client(kind, node + "/get_state"), kind
+        client, kind = self.clients[node]
+        if not client.wait_for_service(timeout_sec=_SERVICE_S):
+            return "without a lifecycle"
+        answer = client.call_async(kind.Request())
+        if not _wait_for(answer.done, _SERVICE_S):
+            return "silent"
+        return str(answer.result().current_state.label)
+
+    def _hear(self, topic: str, within_s: float) -> bool:
+        """Whether a message comes; of any publisher, whatever its quality of service."""
+        until = time.monotonic() + within_s + _DISCOVERY_S
+        if not _wait_for(lambda: topic in dict(self.node.get_topic_names_and_types()), _DISCOVERY_S):
+            return False
+        package, _, name = dict(self.node.get_topic_names_and_types())[topic][0].partition("/msg/")
+        qos: "Any" = importlib.import_module("rclpy.qos")
+        profile = qos.QoSProfile(depth=1, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
+        heard = threading.Event()
+        subscription = self.node.create_subscription(
+            getattr(importlib.import_module(package + ".msg"), name),
+            topic,
+            lambda _: heard.set(),
+            profile,
+            raw=True,
+        )
+        try:
+            return heard.wait(max(0.0, until - time.monotonic()))
+        finally:
+            self.node.destroy_subscription(subscription)
+
+
+def _wait_for(condition: "Any", seconds: float) -> bool:
+    until = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() >= until:
+            return False
+        time.sleep(_POLL_S)
+    return True
+
+
+def _serve(graph: Graph, peer: socket.socket) -> None:
+    with peer:
+        peer.settimeout(30.0)
+        credentials = peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12)
+        if struct.unpack("3i", credentials)[1] != os.geteuid():
+            return
+        try:
+            fault = graph.find_fault(json.loads(peer.recv(_MOST_BYTES).decode("utf-8")))
+        except Exception as error:  # noqa: BLE001 - the answer is the only channel
+            fault = "%s: %s" % (type(error).__name__, error)
+        peer.sendall(b"=" + fault.encode("utf-8", "replace"))
+
+
+def main(name: str) -> None:
+    """Serve until killed; end at once where another helper has the name."""
+    server = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        server.bind("\0" + name)
+    except OSError:
+        return
+    graph = Graph()
+    server.listen(16)
+    while True:
+        peer, _ = server.accept()
+        threading.Thread(target=_serve, args=(graph, peer), daemon=True).start()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -1,0 +1,1 @@
+"""Stand-in of the package nav2_common."""
