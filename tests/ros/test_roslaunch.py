@@ -1,7 +1,6 @@
 """Compare the reader of ROS 1 launch files with roslaunch itself, on the corpus and on random files.
 
-Not part of the suite, as it needs ROS 1 (Debian's python3-roslaunch):
-``python -m pytest tests/importers/against_roslaunch.py``. Without roslaunch it fails.
+Needs Debian's python3-roslaunch, so ``make ros`` runs it.
 """
 
 import json
