@@ -54,6 +54,7 @@ def import_ros_command(
         edgectl import ros bringup.launch.py --out lab
         edgectl import ros bringup.launch --group file
     """
+    from edgectl.cli.user_files import refuse_exposed_files
     from edgectl.usecases.import_files import import_ros
 
     paths = [word for word in files if _ASSIGNMENT not in word]
@@ -65,7 +66,10 @@ def import_ros_command(
     given = [str(path) for path in package_path or []]
     for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
         given += [part for part in os.environ.get(variable, "").split(os.pathsep) if part]
-    _put(import_ros(paths, arguments, given, by_file=group is TaskUnit.FILE), out)
+    made = import_ros(
+        paths, arguments, given, by_file=group is TaskUnit.FILE, refuse_exposed=refuse_exposed_files
+    )
+    _put(made, out)
 
 
 def import_ssh_command(

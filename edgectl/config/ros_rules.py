@@ -172,11 +172,12 @@ def is_loopback(text: object) -> bool:
 def check_host_addresses(hosts: Mapping[str, Host]) -> Iterator[tuple[Host, str]]:
     """Hosts whose nodes others cannot reach, with the reason: an address or a master that is each host's own.
 
-    Where all hosts are this machine, that is right.
+    Where all hosts are this machine, that is right; hosts that are never contacted do not count.
     """
-    if all(host.connection is Connection.LOCAL or is_loopback(host.host) for host in hosts.values()):
+    contacted = [host for host in hosts.values() if host.probe]
+    if all(host.connection is Connection.LOCAL or is_loopback(host.host) for host in contacted):
         return
-    for host in hosts.values():
+    for host in contacted:
         for name in ("ROS_IP", "ROS_HOSTNAME", "ROS_MASTER_URI"):
             value = _get_variable(name, None, host)
             if value is not None and is_loopback(value):

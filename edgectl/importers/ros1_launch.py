@@ -317,7 +317,7 @@ class _Reader:
             self.default_machine = name
         for key, hint in (
             ("password", "use keys, or password_command: in the inventory"),
-            ("env-loader", "write prelude: in the inventory, such as source /opt/ros/noetic/setup.bash"),
+            ("env-loader", "write ros: {setup: [/opt/ros/noetic/setup.bash]} in the inventory"),
             ("timeout", ""),
             ("ros-root", ""),
             ("ros-package-path", ""),

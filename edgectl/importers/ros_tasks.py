@@ -17,7 +17,6 @@ from edgectl.importers.ros_command import (
 from edgectl.importers.yaml_text import FileEntry, FileText
 
 _NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,40}")
-_ADDRESS = re.compile(r"[0-9]+\.[0-9]+\.[0-9]+\.[0-9]+")
 _LOCAL = ("localhost", "127.0.0.1", "::1")
 _MAX_NAME = 40
 _KEY_ORDER = ("for_each", "robot", "command", "kind", "needs", "demand", "env", "workdir", "onboard", "hosts",
@@ -56,9 +55,7 @@ def build_files(launch: Launch, title: str, fleet: str) -> ImportedFiles:
     entries += [_build_entry(group, groups, bool(launch.parameters or launch.computed)) for group in groups]
     about = f"Imported from {title}."
     tasks = FileText(comments=(about,), keys={"version": 1}, sections={"tasks": entries})
-    return ImportedFiles(
-        inventory=_build_inventory(launch, robots, about, fleet, has_ros1=has_ros1), tasks=tasks
-    )
+    return ImportedFiles(inventory=_build_inventory(launch, robots, about, fleet, master), tasks=tasks)
 
 
 def find_robots(nodes: Sequence[RosNode]) -> list[str]:
@@ -239,33 +236,24 @@ def format_parameter_tree(parameters: Mapping[str, object]) -> str:
     return format_json(tree)
 
 
-def _build_inventory(
-    launch: Launch, robots: Sequence[str], about: str, fleet: str, *, has_ros1: bool
-) -> FileText:
+def _build_inventory(launch: Launch, robots: Sequence[str], about: str, fleet: str, master: str) -> FileText:
     machines = {to_host_name(machine.name): machine for machine in launch.machines.values()}
-    edges = [
-        _build_host(name, machine, has_ros1=has_ros1)
-        for name, machine in machines.items()
-        if name not in robots
-    ]
+    edges = [_build_host(name, machine) for name, machine in machines.items() if name not in robots]
     if not edges:
         comment = "This machine. Write the edges of the lab instead."
         edges = [FileEntry(name=EMPTY_EDGE, values={"connection": "local"}, comments=(comment,))]
     onboard = {node.machine for node in launch.nodes if node.machine in robots}
     robot_entries = [_build_robot(robot, machines.get(robot), onboard=robot in onboard) for robot in robots]
     keys: dict[str, object] = {"version": 1, "fleet": fleet}
-    if has_ros1:
-        first = next((machine for name, machine in machines.items() if name not in robots), None)
-        address = first.address if first is not None else "127.0.0.1"
-        keys["defaults"] = {"env": {"ROS_MASTER_URI": f"http://{address}:11311"}}
-    comments = (
-        about,
-        "Add what prepares a shell for ROS: defaults: {prelude: source /opt/ros/DISTRO/setup.bash}",
-    )
+    versions = {node.version for node in launch.nodes}
+    if len(versions) == 1:
+        ros = {"version": 1, "master": master} if versions == {1} else {"version": 2}
+        keys["defaults"] = {"ros": ros}
+    comments = (about, "Add the setup files of ROS to ros: in defaults: setup: [/opt/ros/DISTRO/setup.bash]")
     return FileText(comments=comments, keys=keys, sections={"edges": edges, "robots": robot_entries})
 
 
-def _build_host(name: str, machine: Machine, *, has_ros1: bool) -> FileEntry:
+def _build_host(name: str, machine: Machine) -> FileEntry:
     if machine.address in _LOCAL:
         return FileEntry(name=name, values={"connection": "local"})
     values: dict[str, object] = {"host": machine.address}
@@ -273,8 +261,6 @@ def _build_host(name: str, machine: Machine, *, has_ros1: bool) -> FileEntry:
         values["user"] = machine.user
     if machine.port:
         values["port"] = machine.port
-    if has_ros1:
-        values["env"] = {"ROS_IP" if _ADDRESS.fullmatch(machine.address) else "ROS_HOSTNAME": machine.address}
     return FileEntry(name=name, values=values)
 
 
@@ -282,5 +268,5 @@ def _build_robot(robot: str, machine: Machine | None, *, onboard: bool) -> FileE
     if machine is None:
         comment = "Write its address; remove probe: false if it has SSH."
         return FileEntry(name=robot, values={"host": robot, "probe": False}, comments=(comment,))
-    entry = _build_host(robot, machine, has_ros1=True)
+    entry = _build_host(robot, machine)
     return FileEntry(name=robot, values={**entry.values, **({"onboard": True} if onboard else {})})

@@ -2,8 +2,9 @@
 
 import logging
 import secrets
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
@@ -243,7 +244,7 @@ class _HostKeyPolicy(paramiko.MissingHostKeyPolicy):
 
 
 class _BoundedTransport(paramiko.Transport):
-    """A transport that counts each key exchange against the allowance of its line."""
+    """A transport that counts each key exchange against its line's allowance, and never waits for itself."""
 
     def __init__(self, line: Line) -> None:
         super().__init__(line)  # type: ignore[arg-type]
@@ -252,6 +253,20 @@ class _BoundedTransport(paramiko.Transport):
     def _parse_kex_init(self, m: paramiko.Message) -> None:
         self._allowance.charge(REKEY_BYTES)
         super()._parse_kex_init(m)  # type: ignore[misc]
+
+    def global_request(
+        self,
+        kind: str,
+        data: Iterable[object] | None = None,
+        wait: bool = True,  # noqa: FBT001, FBT002 - as paramiko has it
+    ) -> paramiko.Message | None:
+        """Send a request, but no keepalive while keys are exchanged.
+
+        paramiko sends keepalives from the thread that reads, which would wait half a minute for its own work.
+        """
+        if threading.current_thread() is self and not self.clear_to_send.is_set():
+            return None
+        return super().global_request(kind, data, wait)
 
 
 def _build_paramiko_transport(

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from edgectl.config.expansion import expand_templates
 from edgectl.config.inventory_file import read_inventory
@@ -35,6 +35,7 @@ from edgectl.importers.ssh_hosts import list_host_aliases, select_aliases
 from edgectl.importers.yaml_text import render_file
 from edgectl.transport.ssh_config import CONFIG_OVERRIDE_VARIABLE, SYSTEM_CONFIG, get_home_dir
 
+RefuseExposed: TypeAlias = Callable[[Sequence[Problem]], None]
 PYTHON_TIMEOUT_S = 20.0
 _MAX_RECORD_BYTES = 2**24
 _MAX_PACKAGE_DEPTH = 8
@@ -60,21 +61,33 @@ class Imported:
 
 
 def import_ros(
-    paths: Sequence[str], arguments: Mapping[str, str], package_path: Sequence[str], *, by_file: bool
+    paths: Sequence[str],
+    arguments: Mapping[str, str],
+    package_path: Sequence[str],
+    *,
+    by_file: bool,
+    refuse_exposed: RefuseExposed,
 ) -> Imported:
     """Make tasks and an inventory of launch files. ``by_file``: one task per file instead of one per node.
+
+    ``refuse_exposed`` raises for warnings about programs that others may write.
 
     Raises:
         InputError: everything that is wrong with the files.
     """
-    launch = read_launch_files(paths, arguments, package_path, by_file=by_file)
+    launch = read_launch_files(paths, arguments, package_path, by_file=by_file, refuse_exposed=refuse_exposed)
     name = to_host_name(Path(paths[0]).name.partition(".")[0])
     made = build_files(launch, ", ".join(Path(path).name for path in paths), name_fleet(name))
     return _finish(name, render_file(made.inventory), render_file(made.tasks), launch.notes)
 
 
 def read_launch_files(
-    paths: Sequence[str], arguments: Mapping[str, str], package_path: Sequence[str], *, by_file: bool
+    paths: Sequence[str],
+    arguments: Mapping[str, str],
+    package_path: Sequence[str],
+    *,
+    by_file: bool,
+    refuse_exposed: RefuseExposed,
 ) -> Launch:
     """What launch files start, with at least one node.
 
@@ -90,6 +103,7 @@ def read_launch_files(
         if by_file:
             _add_whole_file(path, arguments, packages, launch)
         elif path.endswith(".py"):
+            _refuse_exposed_program(path, refuse_exposed)
             _run_python(path, arguments, packages, workspace, launch)
         elif _detect_version(path) == 1:
             read_ros1_launch(path, arguments, workspace, launch)
@@ -325,6 +339,12 @@ def _read_package_name(directory: Path) -> str:
     return found[1] if found else ""
 
 
+def _refuse_exposed_program(path: str, refuse_exposed: RefuseExposed) -> None:
+    problems = Problems()
+    _read_file(path, problems)
+    refuse_exposed([each for each in problems.warnings if each.code == ProblemCode.EXPOSED])
+
+
 def _run_python(
     path: str, arguments: Mapping[str, str], packages: _PackageIndex, workspace: Workspace, launch: Launch
 ) -> None:
@@ -356,6 +376,8 @@ def run_launch_program(
         "arguments": dict(arguments),
         "packages": dict(packages),
         "root": str(root),
+        # The rule for the file itself is the caller's; this is for the files that it includes.
+        "runs_exposed": os.environ.get("EDGECTL_INSECURE_FILES", "0") not in ("", "0"),
         "path": [part for part in os.environ.get("PYTHONPATH", "").split(os.pathsep) if part],
     }
     program = root / "edgectl" / "importers" / "standin" / "_edgectl_run.py"

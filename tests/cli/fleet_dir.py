@@ -10,6 +10,7 @@ import pytest
 
 from edgectl.config.load import load_inventory
 from edgectl.state.fleet_dir import ensure_fleet_dir
+from tests.compiled_agent import give_agent, give_key
 from tests.docs.blocks import stopped
 
 
@@ -19,10 +20,15 @@ def open_fleet_dir(inventory: Path) -> Path:
 
 @contextmanager
 def enter_fleet(folder: Path, inventory: str, tasks: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A directory with both files as the working directory, without a terminal; what was started is stopped."""
+    """A directory with both files as the working directory, without a terminal; what was started is stopped.
+
+    Local hosts have the agent, and the manager its key.
+    """
     for name, text in (("inventories/lab.yaml", inventory), ("tasks/lab.yaml", tasks)):
         (folder / name).parent.mkdir()
         (folder / name).write_text(text)
+    give_agent(folder / "state")
+    give_key(folder / "state", load_inventory(folder / "inventories" / "lab.yaml").fleet)
     monkeypatch.chdir(folder)
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(folder / "state"))
     monkeypatch.setattr("sys.stdin", open(os.devnull))  # noqa: SIM115, PTH123 - closed below

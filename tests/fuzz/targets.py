@@ -12,6 +12,7 @@ from pathlib import Path
 
 from edgectl.agent.link import fast_json
 from edgectl.agent.measure import metrics
+from edgectl.cli.user_files import refuse_exposed_files
 from edgectl.config.documents import load_plan, load_snapshot
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.errors import StateError
@@ -211,7 +212,10 @@ def _build_import_targets(directory: Path) -> Iterator[Target]:
             f"import of {name}",
             [(CORPUS / seed).read_bytes() for seed in seeds],
             _read_through_file(
-                directory / name, lambda file: import_ros([str(file)], {}, [str(CORPUS)], by_file=False)
+                directory / name,
+                lambda file: import_ros(
+                    [str(file)], {}, [str(CORPUS)], by_file=False, refuse_exposed=refuse_exposed_files
+                ),
             ),
         )
     hosts = _read_through_file(directory / "hosts", lambda file: import_ansible(str(file)))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from edgectl.cli.user_files import refuse_exposed_files
 from edgectl.errors import InputError, Problem
 from edgectl.usecases.import_files import (
     Imported,
@@ -194,7 +195,13 @@ def import_file(name: str, arguments: str) -> Imported:
         return import_ansible(name)
     if name == "task_req.yaml":
         return import_paper(name)
-    return import_ros([name], dict([arguments.split(":=")]) if arguments else {}, [], by_file=False)
+    return import_ros(
+        [name],
+        dict([arguments.split(":=")]) if arguments else {},
+        [],
+        by_file=False,
+        refuse_exposed=refuse_exposed_files,
+    )
 
 
 def import_broken(case: Broken, directory: Path, monkeypatch: pytest.MonkeyPatch) -> Problem:

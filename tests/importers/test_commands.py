@@ -141,6 +141,25 @@ def test_what_was_dropped_is_said_where_nothing_is_left(tmp_path: Path) -> None:
     assert f"{CORPUS}/nav.launch.py:49:1: LoadComposableNodes is not imported" in said.err
 
 
+def test_a_program_that_others_may_write_is_not_run(tmp_path: Path) -> None:
+    file = tmp_path / "x.launch.py"
+    file.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\n" + (CORPUS / "minimal.launch.py").read_text())
+    file.chmod(0o666)
+    said = run(tmp_path, "import", "ros", "x.launch.py")
+    assert said.code == 64
+    assert "error[EC104]: x.launch.py: every user may change it (mode 0666)" in said.err
+    assert not (tmp_path / "ran").exists()
+    outer = "from launch import LaunchDescription\nfrom launch.actions import IncludeLaunchDescription\n"
+    outer += f"def generate_launch_description():\n    return LaunchDescription([IncludeLaunchDescription({str(file)!r})])\n"
+    (tmp_path / "y.launch.py").write_text(outer)
+    said = run(tmp_path, "import", "ros", "y.launch.py")
+    assert said.code == 64
+    assert "y.launch.py:4:5: every user may change" in said.err
+    assert not (tmp_path / "ran").exists()
+    assert run(tmp_path, "import", "ros", "y.launch.py", EDGECTL_INSECURE_FILES="1").code == 0
+    assert (tmp_path / "ran").exists()
+
+
 def test_packages_are_found_by_the_variables_of_ros(tmp_path: Path) -> None:
     said = run(
         tmp_path, "import", "ros", str(CORPUS / "includes.launch"), ROS_PACKAGE_PATH=f"/nowhere:{CORPUS}"

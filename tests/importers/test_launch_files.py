@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from edgectl.cli.user_files import refuse_exposed_files
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.usecases.import_files import Imported, import_ros
 
@@ -28,7 +29,9 @@ def import_from_corpus(name: str, *, by_file: bool = False) -> Imported:
     os.environ.pop("LAB_OUT", None)
     try:
         with contextlib.chdir(CORPUS):
-            return import_ros([name], ARGUMENTS.get(name, {}), ["."], by_file=by_file)
+            return import_ros(
+                [name], ARGUMENTS.get(name, {}), ["."], by_file=by_file, refuse_exposed=refuse_exposed_files
+            )
     finally:
         os.environ.clear()
         os.environ.update(before)
@@ -60,7 +63,9 @@ def test_a_launch_file_becomes_tasks(name: str, tmp_path: Path) -> None:
     (tmp_path / "tasks.yaml").write_text(made.tasks)
     _, tasks, warnings = load_inventory_and_tasks(tmp_path / "fleet.yaml", [tmp_path / "tasks.yaml"])
     assert tasks.tasks
-    assert warnings == ()
+    # Where the file names no machine, this one stands for the edges: that robots do not reach it is said.
+    assert all("127.0.0.1" in warning.message for warning in warnings)
+    assert not warnings or "Write the edges of the lab instead" in made.inventory
 
 
 def test_an_import_is_the_same_each_time() -> None:

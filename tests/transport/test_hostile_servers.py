@@ -144,6 +144,19 @@ def test_a_server_that_renews_its_keys_without_end_is_cut() -> None:
     assert renewed == 17
 
 
+def test_no_keepalive_is_sent_while_keys_are_exchanged() -> None:
+    """The thread that reads would wait half a minute for what it reads itself, whatever the deadline of a call."""
+    ours, theirs = socket.socketpair()
+    line = TunedSocket(fileno=ours.detach())
+    with theirs, line:
+        transport: Any = _BoundedTransport(line)
+        transport.active = True
+        transport.run = lambda: transport.global_request("keepalive@lag.net", wait=False)
+        transport.start()
+        transport.join(patience(5.0))
+        assert not transport.is_alive()
+
+
 def test_an_allowance_is_of_each_call_and_adds_up_for_calls_at_once() -> None:
     allowance = Allowance()
     allowance.charge(MAX_LOGIN_BYTES)

@@ -64,9 +64,10 @@ class Substitution(Recorded):
 class Context:
     """State of the evaluation."""
 
-    def __init__(self, given: Mapping[str, str], packages: Mapping[str, str]) -> None:
+    def __init__(self, given: Mapping[str, str], packages: Mapping[str, str], *, runs_exposed: bool) -> None:
         self.launch_configurations: dict[str, str] = dict(given)
         self.packages = packages
+        self.runs_exposed = runs_exposed
         self.namespace = "/"
         self.env: dict[str, str] = {}
         self.remaps: list[list[str]] = []
@@ -202,6 +203,8 @@ def load_description(context: Context, path: str, place: tuple[str, int]) -> Any
         package = path.partition(":")[2].partition("\ue001")[0]
         hint = "name the directory of its workspace: --package-path DIR"
         raise LaunchError(f"the package {package} is not on this machine", place, hint)
+    if os.path.isfile(path) and os.stat(path).st_mode & 0o002 and not context.runs_exposed:  # noqa: PTH113, PTH116
+        raise LaunchError(f"every user may change {path}, so it is not run", place, f"chmod go-w {path}")
     context.loaded += 1
     if len(context.files) >= MAX_DEPTH or context.loaded > MAX_FILES:
         raise LaunchError("too many includes, or a file that includes itself", place)

@@ -37,7 +37,9 @@ def evaluate_request(request: dict[str, Any]) -> dict[str, Any]:
     """What the file starts, or its fault with its place."""
     import _edgectl_recorder as recorder
 
-    context = recorder.CONTEXT = recorder.Context(request["arguments"], request["packages"])
+    context = recorder.CONTEXT = recorder.Context(
+        request["arguments"], request["packages"], runs_exposed=request["runs_exposed"]
+    )
     try:
         recorder.evaluate(recorder.load_description(context, request["file"], (request["file"], 1)), context)
     except recorder.LaunchError as error:

@@ -1,7 +1,6 @@
 """Compare the reader of ROS 1 launch files with roslaunch itself, on the corpus and on random files.
 
-Not part of the suite, as it needs ROS 1 (Debian's python3-roslaunch):
-``python -m pytest tests/importers/against_roslaunch.py``. Without roslaunch it fails.
+Needs Debian's python3-roslaunch, so ``make ros`` runs it.
 """
 
 import json
@@ -14,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from edgectl.cli.user_files import refuse_exposed_files
 from edgectl.errors import InputError
 from edgectl.importers.launch_values import PACKAGE_MARK, Launch
 from edgectl.importers.ros_parameters import flatten_parameters
@@ -96,14 +96,20 @@ def test_the_corpus_reads_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -
     given = ARGUMENTS.get(name, {})
     path = str(CORPUS / name)
     [theirs] = ask_roslaunch([",".join([path, *(f"{key}:={value}" for key, value in given.items())])])
-    ours = describe_launch(read_launch_files([path], given, [str(CORPUS)], by_file=False))
+    ours = describe_launch(
+        read_launch_files([path], given, [str(CORPUS)], by_file=False, refuse_exposed=refuse_exposed_files)
+    )
     assert ours == normalise(theirs)
 
 
 def read_or_refuse(path: Path) -> dict[str, Any]:
     """Our side, or our error."""
     try:
-        return describe_launch(read_launch_files([str(path)], {}, [str(CORPUS)], by_file=False))
+        return describe_launch(
+            read_launch_files(
+                [str(path)], {}, [str(CORPUS)], by_file=False, refuse_exposed=refuse_exposed_files
+            )
+        )
     except InputError as error:
         return {"error": str(error)}
 
