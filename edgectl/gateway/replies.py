@@ -75,8 +75,8 @@ class InterfaceReply:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkReply:
-    """One link of a probe: traffic in bytes/s, round-trip time in ms; the others as
-    ``model.link_reading.LinkObservation``.
+    """One link of a probe: traffic in bytes/s, round-trip time in ms, ``partial`` as
+    ``model.snapshot.LinkSample``; the others as ``model.link_reading.LinkObservation``.
     """
 
     rx_bytes_per_s: Amount = 0.0
@@ -86,6 +86,7 @@ class LinkReply:
     reachable: bool = True
     carries_bytes_per_s: Amount | None = None
     radio_bytes_per_s: Amount | None = None
+    partial: Text = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,6 +125,7 @@ class TaskReply:
     orphaned: bool = False
     adoptable: bool = False
     needed: Text = ""
+    partial: Text = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
