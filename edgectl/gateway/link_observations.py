@@ -54,4 +54,5 @@ def _join_link(link: LinkReply, peer: PeerReply | None) -> LinkObservation:
         radio_bytes_per_s=min(radios, default=None),
         interface=link.interface,
         rtt_ms=link.rtt_ms,
+        answered=link.reachable,
     )

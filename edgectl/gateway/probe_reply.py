@@ -216,7 +216,7 @@ def _build_link(
         used = sum((_get_link_usage(task, robot) for task in _select_alive(tasks)), 0.0)
     nic = interfaces.get(reply.interface)
     capacity, source = select_link_capacity(robot, context, nic.speed_bytes_per_s if nic else None)
-    if robot not in context.blind and not reply.reachable:
+    if robot not in context.blind and reply.reachable is False:
         capacity = 0.0
     return LinkSample(
         capacity_bytes_per_s=capacity,

@@ -75,7 +75,8 @@ class InterfaceReply:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkReply:
-    """One link of a probe: traffic in bytes/s, round-trip time in ms, ``partial`` as
+    """One link of a probe: traffic in bytes/s, round-trip time in ms, ``reachable`` None where nothing came
+    back within the window, ``partial`` as
     ``model.snapshot.LinkSample``; the others as ``model.link_reading.LinkObservation``.
     """
 
@@ -83,7 +84,7 @@ class LinkReply:
     tx_bytes_per_s: Amount = 0.0
     rtt_ms: Amount | None = None
     interface: Text = ""
-    reachable: bool = True
+    reachable: bool | None = None
     carries_bytes_per_s: Amount | None = None
     radio_bytes_per_s: Amount | None = None
     partial: Text = ""
