@@ -9,11 +9,24 @@ from edgectl.model.snapshot import CapacitySource, InterfaceSample, LinkSample
 from edgectl.rules.live_links import (
     MAX_READING_AGE_S,
     add_sample,
+    apply_live_capacities,
     choose_links_to_probe,
     compute_live_link,
     observe_link,
 )
-from tests.builders import a_robot, a_sample, a_snapshot, an_edge, an_inventory, silent
+from tests.builders import (
+    NOW,
+    a_robot,
+    a_run,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    silent,
+    some_tasks,
+)
+from tests.scheduler.fleets import hosts_by_task, run_assign
 
 DECLARED = LinkSample(capacity_bytes_per_s=6e6, used_bytes_per_s=0.0, capacity_source=CapacitySource.DECLARED)
 NEW = LinkHistory()
@@ -162,3 +175,22 @@ def test_a_link_that_lets_no_probe_through_is_tried_again_after_ten_minutes() ->
     )
     assert choose_links_to_probe(FLEET, SNAPSHOT, known, only, 1599.0) == ()
     assert choose_links_to_probe(FLEET, SNAPSHOT, known, only, 1601.0)
+
+
+def test_a_task_moves_away_from_an_edge_that_is_cut_off_from_its_robot() -> None:
+    run = a_run(spec_hash="hash-slam", started_at=NOW - 900.0)
+    seen = a_snapshot(
+        edge1=a_sample(links={"robot1": DECLARED}, tasks={"slam": run}),
+        edge2=a_sample(used=2.0, links={"robot1": DECLARED}),
+    )
+    fleet = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot("robot1", probe=False))
+    tasks = some_tasks(a_task("slam", cpu=1.0, throughput=1e5, robots=["robot1"]))
+
+    def place_after(silent_probes: int) -> str | None:
+        known = observe_link(NEW, LinkObservation(answered=True), NOW - 60.0)
+        for number in range(silent_probes):
+            known = observe_link(known, LinkObservation(), NOW - 50.0 + number * 10.0)
+        snapshot = apply_live_capacities(seen, {("edge1", "robot1"): known}, {}, NOW)
+        return hosts_by_task(run_assign(fleet, tasks, snapshot))["slam"]
+
+    assert (place_after(2), place_after(3)) == ("edge1", "edge2")
