@@ -97,10 +97,14 @@ def worsen_if_given_up(code: ExitCode, plan: Plan) -> ExitCode:
 def of_status(
     snapshot: Snapshot, inventory: Inventory, tasks: Tasks, *, allow_unreachable: bool = False
 ) -> ExitCode:
-    """4 if a host that should answer did not, or a wanted task has failed or is not alive."""
+    """4 if a host that should answer did not, or a wanted task has failed, is not alive, or is cut off from
+    its robot.
+    """
+    from edgectl.rules.cut_off import list_cut_off_tasks
     from edgectl.views.state import find_failed_tasks, list_unhealthy_tasks
 
-    if find_failed_tasks(tasks, snapshot) or list_unhealthy_tasks(snapshot):
+    cut_off = any(list_cut_off_tasks(tasks, snapshot))
+    if find_failed_tasks(tasks, snapshot) or list_unhealthy_tasks(snapshot) or cut_off:
         return ExitCode.PARTLY
     return of_snapshot(snapshot, inventory, allow_unreachable=allow_unreachable)
 

@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+from edgectl.cli.exit_codes import of_status
+from edgectl.errors import ExitCode
 from edgectl.model.snapshot import CapacitySource
 from edgectl.rules.cut_off import list_cut_off_tasks
 from edgectl.views.plan_sections import list_down_link_notes, list_link_notes, list_partial_notes
@@ -58,9 +60,13 @@ def test_a_link_that_is_down_is_noted_where_the_robot_answers_the_manager() -> N
     runs = {"slam": a_run(), "map": a_run()}
     seen = replace(snapshot, hosts={**snapshot.hosts, "edge1": a_sample(links=links, tasks=runs)})
     assert list(list_cut_off_tasks(tasks, seen)) == [("slam", "edge1", "robot1")]
+    whole = replace(seen, hosts={**seen.hosts, "edge1": a_sample(links={"robot3": a_link()}, tasks=runs)})
     fleet = an_inventory(an_edge("edge1"), *map(a_robot, ("robot1", "robot2", "robot3")))
     assert (
         StatusView(seen, fleet, tasks)
         .table()
         .startswith("slam on edge1 is cut off from robot1: the link is down")
     )
+    answering = replace(fleet, hosts={name: fleet.hosts[name] for name in ("edge1", "robot1", "robot3")})
+    assert of_status(seen, answering, tasks) is ExitCode.PARTLY
+    assert of_status(whole, answering, tasks) is ExitCode.DONE
