@@ -5,6 +5,8 @@ processes of their own.
 """
 
 import os
+import shlex
+import shutil
 import signal
 import subprocess
 from pathlib import Path
@@ -39,7 +41,7 @@ FIRST = ("edgectl init demo", "edgectl init .")
 EARLY = ("edgectl plan --out next.plan", "edgectl show next.plan", "edgectl apply next.plan")
 LATE = ("edgectl rollback", "edgectl drain", "edgectl stop")
 # These only read files; each gets its own scaffold.
-OF_FILES = ("edgectl simulate", "edgectl experiment show", "edgectl report", "edgectl ssim")
+OF_FILES = ("edgectl import", "edgectl simulate", "edgectl experiment show", "edgectl report", "edgectl ssim")
 
 
 def examples() -> list[str]:
@@ -118,7 +120,7 @@ def env(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
 
 def in_this_process(line: str, run: Run) -> int:
     assert line.startswith("edgectl ")
-    return run(*line.split()[1:]).code
+    return run(*shlex.split(line)[1:]).code
 
 
 def examples_of_files() -> list[str]:
@@ -141,6 +143,9 @@ def test_every_example_of_files_runs(
     site = tmp_path / "demo"
     write_scaffold(site)
     (site / "docs").symlink_to(DOCS)
+    for file in (DOCS / "examples" / "launch").iterdir():
+        shutil.copy(file, site)
+    monkeypatch.setenv("EDGECTL_SSH_CONFIG", str(site / "ssh_config"))
     monkeypatch.chdir(site)
     assert in_this_process(line, run) == 0
 
