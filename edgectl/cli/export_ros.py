@@ -19,7 +19,7 @@ def export_ros_command(
     tasks: options.TasksOption = None,
     setup: Annotated[
         list[Path] | None,
-        Option("--setup", metavar="FILE", help="Set-up file of this machine, in place of those of ros:."),
+        Option("--setup", metavar="FILE", help="Set-up file of this machine; default: those of ros:."),
     ] = None,
     host: Annotated[
         str | None,
