@@ -14,7 +14,7 @@ def status_command(
     *,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.NamedOutput = OutputFormat.TABLE,
+    output: options.FleetOutput = OutputFormat.TABLE,
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
     """Show where tasks run, their age, and their usage against demand. Exit 4 while a wanted task has failed.
@@ -22,6 +22,7 @@ def status_command(
     Examples:
         edgectl status
         edgectl status -o json
+        edgectl status -o wide
         edgectl status -o name
     """
     from edgectl.cli.connect import build_fleet
@@ -47,9 +48,7 @@ def logs_command(
     tail: Annotated[
         int, Option("--tail", "-n", metavar="N", min=0, help="Number of last lines to print.")
     ] = 100,
-    raw: Annotated[
-        bool, Option("--raw", help="Leave colours and other control sequences of the task in.")
-    ] = False,
+    raw: Annotated[bool, Option("--raw", help="Leave control sequences of the task in.")] = False,
 ) -> None:
     """Print the logs of a task from the host where it runs or ran last, without control sequences.
 
