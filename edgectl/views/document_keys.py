@@ -62,7 +62,7 @@ LIST_KEYS: KeysByName = {
     "revision": _REVISION,
     "robot": _HOST,
     "task": _TASK,
-    "task-status": (*_RUN, "contacted_at", "attention"),
+    "task-status": (*_RUN, "contacted_at", "node_names", "attention"),
     "task-usage": (*_RUN, "history"),
 }  # fmt: skip
 
@@ -131,8 +131,8 @@ INNER_KEYS: KeysByName = {
         "reference_figures", "off_by",
     ),
     "spec": (
-        "template", "task_kind", "managed", "command", "robot_names", "needs", "priority", "deadline_s",
-        "labels", "restart", "handoff", "on_unreachable", "env",
+        "template", "task_kind", "managed", "command", "node_names", "robot_names", "needs", "priority",
+        "deadline_s", "labels", "restart", "handoff", "on_unreachable", "env",
     ),
     "utilisation": ("mean", "peak"),
 }  # fmt: skip
