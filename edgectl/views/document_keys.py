@@ -14,7 +14,7 @@ KeysByName = Mapping[str, Keys]
 _RESOURCES = tuple(resource.name for resource in RESOURCES)
 _LINK_SAMPLE = (
     "capacity_bytes_per_s", "used_bytes_per_s", "rtt_ms", "capacity_source", "capacity_age_s",
-    "nominal_bytes_per_s",
+    "nominal_bytes_per_s", "partial",
 )  # fmt: skip
 _HOST = (
     "host", "role", "address", "connection", "labels", "limits", "onboard", "taken_at", "status", "error",
@@ -25,7 +25,7 @@ _ABSENT_TASK = ("task", "host", "taken_at", "state", "contacted_at", "managed")
 _RUN = (
     "task", "host", "taken_at", "state", "detail", "age_s", "started_at", "ended_at", *_RESOURCES, "restarts",
     "pid", "instance", "generation", "managed", "given_up", "exit_code", "last_exit", "enforcement",
-    "log_tail", "metrics",
+    "partial", "log_tail", "metrics",
 )  # fmt: skip
 _TASK = (*_RUN, "contacted_at", "in_files", "task_kind", "robot_names", "needs", "labels")
 _LINK = ("edge", "robot", "taken_at", *_LINK_SAMPLE)

@@ -136,6 +136,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "on_unreachable": "policy for an unreachable host: hold or replace",
         "order": "order of a handoff: stop-first or start-first",
         "outcome": "outcome of an action or a revision",
+        "partial": "what the traffic of a link or a task lacks: udp unseen",
         "phase": "phase of an action",
         "policy": "name of a policy",
         "previous_host": "host before the decision",

@@ -8,6 +8,7 @@ from edgectl.model.inventory import Inventory
 from edgectl.model.resource import RESOURCES
 from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks, list_node_names
+from edgectl.rules.cut_off import list_cut_off_tasks
 from edgectl.rules.lost_places import describe_lost_place
 from edgectl.rules.overuse import find_overuses
 from edgectl.units import format_duration
@@ -121,6 +122,10 @@ class StatusView(ListView):
             first.append(
                 f"{len(unhealthy)} of {len(self._tasks.tasks)} tasks unhealthy: {', '.join(unhealthy)}"
             )
+        first += [
+            f"{task} on {host} is cut off from {robot}: the link is down, and both answer edgectl"
+            for task, host, robot in list_cut_off_tasks(self._tasks, self._snapshot)
+        ]
         return "".join(style_text(wrap_text(line, look), "bad", look) for line in first) + render_columns(
             rows, look, right=right, wrap={2}
         )
