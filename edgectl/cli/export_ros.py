@@ -10,7 +10,7 @@ from edgectl.cli.completion import complete_hosts
 from edgectl.cli.signals import parse_every_option, return_on_signal
 from edgectl.cli.user_files import load_inputs
 
-_STALE_S, _STALE_PERIODS = 10.0, 3.0
+_STALE_S, _STALE_PERIODS = 15.0, 3.0
 
 
 def export_ros_command(
@@ -72,7 +72,7 @@ def export_ros_command(
             ros,
             setup=[str(path) for path in setup or ()],
             peers=[each.host for each in known.robots],
-            stale_s=max(_STALE_S, _STALE_PERIODS * period),
+            stale_s=max(_STALE_S, how.timeout + _STALE_PERIODS * period),
         ) as node,
         keep_sessions_open(fleet) as near,
     ):

@@ -71,7 +71,7 @@ def kill_with_children(process: "subprocess.Popen[bytes]") -> None:
 
 @contextlib.contextmanager
 def run_gateway(folder: Path, setup: Path) -> Iterator[ForkedProcess]:
-    words = ["export", "ros", "--setup", str(setup), "--every", "1s", "--timeout", "50s"]
+    words = ["export", "ros", "--setup", str(setup), "--every", "1s"]
     process = ForkedProcess(words, cwd=folder, stderr=subprocess.PIPE, stdout=subprocess.PIPE)
     try:
         yield process
