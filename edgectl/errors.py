@@ -8,6 +8,7 @@
     ├── LockBusyError               another edgectl holds the lock or the fleet (exit 75)
     │   └── WatchedError            another watch looks after the fleet (exit 75)
     ├── CoordinationError           the etcd of the fleet does not answer, or no longer grants it (exit 75)
+    ├── RosGraphError               the ROS master does not answer, or has forgotten us (exit 75)
     ├── StalePlanError              the fleet changed since the plan was made (exit 75)
     ├── UnansweredError             the answer depends on a host that did not answer (exit 4)
     ├── FleetBusyError              the fleet is not free for an experiment (exit 75)
@@ -117,6 +118,12 @@ class WatchedError(LockBusyError):
 
 class CoordinationError(EdgectlError):
     """The etcd that coordinates the managers of this fleet does not answer, or no longer grants the fleet."""
+
+    exit_code = ExitCode.TRY_AGAIN
+
+
+class RosGraphError(EdgectlError):
+    """The master of the ROS graph does not answer, or was restarted."""
 
     exit_code = ExitCode.TRY_AGAIN
 

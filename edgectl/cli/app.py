@@ -106,6 +106,7 @@ COMMANDS = {
     "export prometheus": CommandEntry(
         "cli.export", "Files", "Export measurements and decisions as Prometheus metrics."
     ),
+    "export ros": CommandEntry("cli.export_ros", "Files", "Publish the state of the fleet in ROS."),
     "export csv": CommandEntry("cli.export", "Files", "Export the history as CSV."),
     "export jsonl": CommandEntry("cli.export", "Files", "Export the history as JSON Lines."),
     "export cron": CommandEntry(
@@ -123,7 +124,7 @@ GROUP_HELP: dict[str, str] = {
     "top": "Show resource usage: of hosts by default (-w to refresh, -i for the full-screen view).",
     "profilers": "Manage resident profilers on the hosts.",
     "import": "Import launch files and host lists of other tools.",
-    "export": "Export for cron, systemd, Prometheus, CSV and others.",
+    "export": "Export for cron, systemd, Prometheus, ROS, CSV and others.",
     "experiment": "Compare schemes on real hosts.",
 }
 SUMMARY = "Place robot tasks on edge computers by measured utility: probe, plan, apply, over SSH."

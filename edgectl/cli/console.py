@@ -45,7 +45,7 @@ def print_view_series(views: "Iterable[View]", form: "OutputFormat") -> None:
 
     shown = OutputFormat.JSONL if form is OutputFormat.JSON else form
     for view in views:
-        if not _try_print(render_view(view, shown, detect_render_options(sys.stdout))):
+        if not print_part(render_view(view, shown, detect_render_options(sys.stdout))):
             return
         _print_notes(view, shown)
 
@@ -64,14 +64,8 @@ def print_lines(lines: Iterable[str]) -> None:
         stream.flush()
 
 
-def print_log(data: bytes) -> bool:
-    """Print raw log bytes on stdout with control characters escaped; False once the reader has closed it."""
-    from edgectl.views.text import decode_log_output
-
-    return _try_print(decode_log_output(data))
-
-
-def _try_print(text: str) -> bool:
+def print_part(text: str) -> bool:
+    """Print a part of a longer output on stdout as it is; False once the reader has closed it."""
     try:
         sys.stdout.write(text)
         sys.stdout.flush()

@@ -50,7 +50,7 @@ def import_ros_command(
     imported is named on stderr.
 
     Examples:
-        edgectl import ros bringup.launch robot:=robot1
+        edgectl import ros bringup.launch rate:=2
         edgectl import ros bringup.launch.py --out lab
         edgectl import ros bringup.launch --group file
     """
@@ -85,7 +85,7 @@ def import_ssh_command(
 
     Examples:
         edgectl import ssh 'jetson-*'
-        edgectl import ssh edge1 edge2 --out lab
+        edgectl import ssh jetson-a jetson-b --out lab
     """
     from edgectl.usecases.import_files import import_ssh
 
@@ -103,7 +103,7 @@ def import_ansible_command(
 
     Examples:
         edgectl import ansible hosts.ini
-        edgectl import ansible hosts.yaml --out lab
+        edgectl import ansible hosts.ini --out lab
     """
     from edgectl.usecases.import_files import import_ansible
 

@@ -1,5 +1,6 @@
 """status and logs commands."""
 
+from collections.abc import Iterable
 from typing import Annotated
 
 from typer import Exit, Option
@@ -13,7 +14,7 @@ def status_command(
     *,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.NamedOutput = OutputFormat.TABLE,
+    output: options.FleetOutput = OutputFormat.TABLE,
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
     """Show where tasks run, their age, and their usage against demand. Exit 4 while a wanted task has failed.
@@ -21,6 +22,7 @@ def status_command(
     Examples:
         edgectl status
         edgectl status -o json
+        edgectl status -o wide
         edgectl status -o name
     """
     from edgectl.cli.connect import build_fleet
@@ -46,8 +48,9 @@ def logs_command(
     tail: Annotated[
         int, Option("--tail", "-n", metavar="N", min=0, help="Number of last lines to print.")
     ] = 100,
+    raw: Annotated[bool, Option("--raw", help="Leave control sequences of the task in.")] = False,
 ) -> None:
-    """Print the logs of a task from the host where it runs or ran last.
+    """Print the logs of a task from the host where it runs or ran last, without control sequences.
 
     Examples:
         edgectl logs slam-robot1
@@ -56,12 +59,15 @@ def logs_command(
     """
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases import logs
+    from edgectl.views.text import decode_log
 
     fleet = build_fleet(load_inputs(inventory, tasks))
-    if not follow:
-        text = logs.read_log(fleet, task, tail=tail)
-        console.print_log(text.encode()) if text else console.print_message("the log is empty")
-        return
-    for part in logs.follow_log(fleet, task, tail=tail):
-        if not console.print_log(part):
+    if follow:
+        found: Iterable[bytes] = logs.follow_log(fleet, task, tail=tail)
+    else:
+        found = [logs.read_log(fleet, task, tail=tail).encode()]
+        if found == [b""]:
+            console.print_message("the log is empty")
+    for text in decode_log(found, raw=raw):
+        if not console.print_part(text):
             return

@@ -8,12 +8,10 @@ from collections.abc import Iterator, Mapping
 from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.task_file import TaskDraft
 from edgectl.model.inventory import Connection, Host, Inventory
-from edgectl.model.task import Check, CheckLocation, Task
+from edgectl.model.task import Check, CheckLocation, Task, list_node_names
 
 # Nodes meet only where these are the same.
 _MEETING_VARIABLES = ("ROS_MASTER_URI", "ROS_DOMAIN_ID", "RMW_IMPLEMENTATION")
-_NODE_NAME = re.compile(r"(?:^|\s)__(?:name|node):=(\S+)")
-_NAMESPACE = re.compile(r"(?:^|\s)__ns:=(\S+)")
 
 
 def check_ros(
@@ -131,17 +129,6 @@ def _find_question_fault(check: Check, task: Task, host: Host) -> tuple[str, str
     return None
 
 
-def _list_node_names(task: Task) -> Iterator[str]:
-    """Names of nodes that the command gives, and that of the node that must be alive."""
-    spaces = _NAMESPACE.findall(task.command)
-    space = spaces[0].strip("/") if len(spaces) == 1 else ""
-    for name in dict.fromkeys(_NODE_NAME.findall(task.command)):
-        yield "/" + "/".join(part for part in (space, name.strip("/")) if part)
-    ros = task.alive.check.ros if task.alive is not None else None
-    if ros is not None and ros.node is not None:
-        yield ros.node
-
-
 def _check_node_names(
     tasks: Mapping[str, Task], drafts: Mapping[str, TaskDraft], places: _Places, problems: Problems
 ) -> None:
@@ -151,7 +138,7 @@ def _check_node_names(
         if not task.managed:
             continue
         graph = tuple(next(iter(places.list_values(each, task)), "") for each in _MEETING_VARIABLES)
-        for node in dict.fromkeys(_list_node_names(task)):
+        for node in list_node_names(task):
             other = owners.setdefault((node, *graph), name)
             if other != name:
                 problems.add(

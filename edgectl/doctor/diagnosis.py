@@ -7,6 +7,7 @@ from edgectl.doctor.manager import diagnose_manager
 from edgectl.doctor.ros import diagnose_ros
 from edgectl.doctor.shortage import diagnose_shortages
 from edgectl.doctor.ssh_command import format_copy_id_command, format_ssh_command
+from edgectl.doctor.traffic import diagnose_traffic
 from edgectl.model.assignment import Shortage
 from edgectl.model.diagnosis import (
     Diagnosis,
@@ -18,6 +19,7 @@ from edgectl.model.diagnosis import (
     UnreachableHost,
 )
 from edgectl.model.inventory import Host, Inventory
+from edgectl.model.snapshot import Snapshot
 
 # HostError.kind -> the check that failed.
 _CHECKS = {
@@ -70,10 +72,12 @@ def diagnose_fleet(
     manager: ManagerFacts,
     answers: FactsByHost,
     shortages: Sequence[Shortage] | None = None,
+    snapshot: Snapshot | None = None,
 ) -> Diagnosis:
     """Findings about this machine and the fleet as a whole, then host by host in the order of the inventory.
 
     ``answers``: the hosts that were asked. ``shortages``: what the edges lack, None where it is not known.
+    ``snapshot``: a probe of the fleet, where there was one.
     """
     findings = diagnose_manager(inventory, manager)
     findings += [] if shortages is None else diagnose_shortages(shortages)
@@ -83,6 +87,7 @@ def diagnose_fleet(
         answer = answers.get(name)
         if isinstance(answer, HostFacts):
             findings += [*diagnose_host(host, answer, inventory), *ros.get(name, ())]
+            findings += diagnose_traffic(name, snapshot)
         elif answer is not None:
             findings.append(diagnose_no_answer(host, answer))
     return Diagnosis(findings=tuple(findings))

@@ -132,8 +132,18 @@ def probe_hosts(
     )
     answers = _ask_hosts([host for host in inventory.hosts.values() if host.probe], context)
     answers |= _adopt_and_ask_again(answers, context)
-    options.on_links(join_link_ends(_list_link_ends(answers)))
-    return Snapshot(taken_at=clock(), hosts=_finalize_samples(answers, inventory))
+    samples = _finalize_samples(answers, inventory)
+    options.on_links(join_link_ends(_list_link_ends(answers), _list_partial_links(samples)))
+    return Snapshot(taken_at=clock(), hosts=samples)
+
+
+def _list_partial_links(samples: Mapping[str, HostSample]) -> frozenset[tuple[str, str]]:
+    return frozenset(
+        (edge, robot)
+        for edge, sample in samples.items()
+        for robot, link in sample.links.items()
+        if link.partial
+    )
 
 
 def _list_link_ends(answers: _Answers) -> dict[str, LinkEnds]:
@@ -318,6 +328,7 @@ def _build_reply_context(host: Host, context: _ProbeContext) -> ReplyContext:
         blind=frozenset(robot.name for robot in inventory.robots if not robot.probe),
         checked=list_checked_tasks(context.tasks, host),
         detected=list_detected_tasks(context.tasks),
+        robots_of={task.name: task.robots for task in context.tasks.tasks.values() if task.robots},
     )
 
 

@@ -1,7 +1,7 @@
 """Links as both ends report them: each end knows what limits its own sending."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Set
+from dataclasses import dataclass, field, replace
 
 from edgectl.gateway.replies import LinkReply, PeerReply, ProbeReply, ReplyDocument, decode_reply
 from edgectl.model.link_reading import LinkObservation
@@ -25,12 +25,21 @@ def decode_link_ends(document: ReplyDocument) -> LinkEnds:
     return LinkEnds(links=reply.links, peers=reply.peers)
 
 
-def join_link_ends(ends: Mapping[str, LinkEnds]) -> dict[tuple[str, str], LinkObservation]:
-    """The links by (edge, robot), from the reports of the hosts by name."""
-    return {
+def join_link_ends(
+    ends: Mapping[str, LinkEnds], partial: Set[tuple[str, str]] = frozenset()
+) -> dict[tuple[str, str], LinkObservation]:
+    """The links by (edge, robot), from the reports of the hosts by name.
+
+    Traffic that is seen only in part (``partial``) does not tell what a link carries.
+    """
+    found = {
         (edge, robot): _join_link(link, ends[robot].peers.get(edge) if robot in ends else None)
-        for edge, found in ends.items()
-        for robot, link in found.links.items()
+        for edge, each in ends.items()
+        for robot, link in each.links.items()
+    }
+    return {
+        pair: replace(link, carries_bytes_per_s=None) if pair in partial else link
+        for pair, link in found.items()
     }
 
 
@@ -45,4 +54,5 @@ def _join_link(link: LinkReply, peer: PeerReply | None) -> LinkObservation:
         radio_bytes_per_s=min(radios, default=None),
         interface=link.interface,
         rtt_ms=link.rtt_ms,
+        answered=link.reachable,
     )

@@ -51,6 +51,7 @@ class ReplyContext:
     contacted and so never count as unreachable. ``reopened``: instances whose end, completed or given up, no
     longer counts. ``checked``: tasks whose ``done_when`` was to be checked there; ``detected``: tasks that
     were to be found by their rule. Other checks and detections were not requested, and do not count.
+    ``robots_of``: the robots of each task of the files.
     """
 
     host: Host
@@ -63,6 +64,7 @@ class ReplyContext:
     reopened: frozenset[str] = frozenset()
     checked: frozenset[str] = frozenset()
     detected: frozenset[str] = frozenset()
+    robots_of: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSample:
@@ -214,14 +216,25 @@ def _build_link(
         used = sum((_get_link_usage(task, robot) for task in _select_alive(tasks)), 0.0)
     nic = interfaces.get(reply.interface)
     capacity, source = select_link_capacity(robot, context, nic.speed_bytes_per_s if nic else None)
-    if robot not in context.blind and not reply.reachable:
+    if robot not in context.blind and reply.reachable is False:
         capacity = 0.0
     return LinkSample(
         capacity_bytes_per_s=capacity,
         used_bytes_per_s=used,
         rtt_ms=reply.rtt_ms,
         capacity_source=source,
+        partial=reply.partial or _find_gap(robot, context, tasks),
     )
+
+
+def _find_gap(robot: str, context: ReplyContext, tasks: Mapping[str, TaskSample]) -> str:
+    """What the traffic of a task of ``robot`` lacks: an open UDP socket does not tell whom it sends to."""
+    found = (
+        task.partial
+        for name, task in tasks.items()
+        if task.state.alive and task.partial and robot in context.robots_of.get(name, ())
+    )
+    return next(found, "")
 
 
 def _get_link_usage(task: TaskSample, robot: str) -> float:

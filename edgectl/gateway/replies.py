@@ -75,17 +75,19 @@ class InterfaceReply:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkReply:
-    """One link of a probe: traffic in bytes/s, round-trip time in ms; the others as
-    ``model.link_reading.LinkObservation``.
+    """One link of a probe: traffic in bytes/s, round-trip time in ms, ``reachable`` None where nothing came
+    back within the window, ``partial`` as
+    ``model.snapshot.LinkSample``; the others as ``model.link_reading.LinkObservation``.
     """
 
     rx_bytes_per_s: Amount = 0.0
     tx_bytes_per_s: Amount = 0.0
     rtt_ms: Amount | None = None
     interface: Text = ""
-    reachable: bool = True
+    reachable: bool | None = None
     carries_bytes_per_s: Amount | None = None
     radio_bytes_per_s: Amount | None = None
+    partial: Text = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,6 +126,7 @@ class TaskReply:
     orphaned: bool = False
     adoptable: bool = False
     needed: Text = ""
+    partial: Text = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

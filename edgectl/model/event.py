@@ -10,6 +10,7 @@ class EventKind(StrEnum):
     HOST_LOST = "host-lost"
     HOST_BACK = "host-back"
     HOST_REBOOTED = "host-rebooted"
+    LINK_DOWN = "link-down"
     TASK_STARTED = "task-started"
     TASK_STOPPED = "task-stopped"
     TASK_MOVED = "task-moved"

@@ -12,7 +12,8 @@ class LinkObservation:
 
     ``used_bytes_per_s``: in plus out. ``carries_bytes_per_s``: what it carries now, where a connection is
     limited by it. ``radio_bytes_per_s``: bit rate of the slower radio at its ends. ``interface``: that of the
-    edge, "" where unknown. ``rtt_ms``: round-trip time where known.
+    edge, "" where unknown. ``rtt_ms``: round-trip time where known. ``answered``: whether the robot answered
+    the edge; None: nothing came back.
     """
 
     used_bytes_per_s: float = 0.0
@@ -20,6 +21,7 @@ class LinkObservation:
     radio_bytes_per_s: float | None = None
     interface: str = ""
     rtt_ms: float | None = None
+    answered: bool | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,13 +38,18 @@ class LinkHistory:
     """The last readings of a link, oldest first.
 
     ``sampled_at``: when it was last probed, 0 for never. ``refused``: that probe found no way. ``rtt_ms``:
-    the round-trip time at that probe.
+    the round-trip time at that probe. ``answered``: the robot has ever answered the edge. ``silent``: probes
+    in a row without an answer since then, the first at ``silent_since``; ``cut_off``: so many that it counts.
     """
 
     readings: tuple[LinkReading, ...] = ()
     sampled_at: Instant = 0.0
     refused: bool = False
     rtt_ms: float | None = None
+    answered: bool = False
+    silent: int = 0
+    silent_since: Instant = 0.0
+    cut_off: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -70,7 +70,8 @@ class LinkSample:
     known.
 
     ``capacity_age_s``: age of a live reading when the snapshot was taken. ``nominal``: the declared, measured
-    or assumed capacity in bytes/s, where the capacity is a live one.
+    or assumed capacity in bytes/s, where the capacity is a live one. ``partial``: what ``used_bytes_per_s``
+    lacks; empty where nothing (ADR 0096).
     """
 
     capacity_bytes_per_s: float
@@ -81,6 +82,7 @@ class LinkSample:
     )
     capacity_age_s: float | None = None
     nominal: float | None = field(default=None, metadata=in_document("nominal_bytes_per_s"))
+    partial: str = ""
 
     @property
     def nominal_bytes_per_s(self) -> float:
@@ -102,6 +104,7 @@ class TaskSample:
     its host knows. ``started_at``: 0 where it is not known any more. ``metrics``: the last value of each
     application metric by name, also after its end. ``file``: the task file that it was started from.
     ``needed``: marks of the runs of its predecessors with ``restart: with`` when it was started.
+    ``partial``: what its traffic lacks, as of a link.
     ``orphaned``: it lives without a supervisor; ``adoptable``: a new one can take it over as it is (ADR
     0041).
     """
@@ -131,6 +134,7 @@ class TaskSample:
     orphaned: bool = False
     adoptable: bool = False
     needed: str = ""
+    partial: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,6 +1,7 @@
 """Tasks with their demands, order constraints and commands."""
 
 import posixpath
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -9,6 +10,9 @@ from math import inf
 from edgectl.model.policy import Policy
 from edgectl.model.resource import RESOURCES_BY_NAME, ResourceMap
 from edgectl.model.ros import RosCheck
+
+_NODE_NAME = re.compile(r"(?:^|\s)__(?:name|node):=(\S+)")
+_NODE_NAMESPACE = re.compile(r"(?:^|\s)__ns:=(\S+)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -318,3 +322,18 @@ def join_units(tasks: Mapping[str, Task]) -> dict[str, tuple[str, ...]]:
     rank = {name: index for index, name in enumerate(tasks)}
     ordered = {id(unit): tuple(sorted(unit, key=rank.__getitem__)) for unit in units.values()}
     return {name: ordered[id(unit)] for name, unit in units.items()}
+
+
+def list_node_names(task: Task) -> tuple[str, ...]:
+    """The ROS nodes of a task: those that its command names, and the one that must be alive.
+
+    Nodes of a launch file are not known here.
+    """
+    spaces = _NODE_NAMESPACE.findall(task.command)
+    space = spaces[0].strip("/") if len(spaces) == 1 else ""
+    names = [
+        "/" + "/".join(part for part in (space, name.strip("/")) if part)
+        for name in _NODE_NAME.findall(task.command)
+    ]
+    ros = task.alive.check.ros if task.alive is not None else None
+    return tuple(dict.fromkeys([*names, *([ros.node] if ros is not None and ros.node else [])]))

@@ -35,16 +35,30 @@ _MAX_SAMPLES = 8
 _IDLE_SHARE, _IDLE_BYTES_PER_S = 0.05, 20e3
 # A link whose round trips became so much longer has probably changed: it is probed first.
 _RTT_FACTOR, _RTT_MARGIN_MS = 2.0, 5.0
+# A robot that has answered an edge once, and then left so many probes over so long a time unanswered, is cut
+# off (ADR 0097).
+_SILENT_PROBES, _SILENT_S = 3, 5.0
 LIVE_SOURCES = frozenset({CapacitySource.TCP, CapacitySource.PROBE, CapacitySource.RADIO})
 
 
 def observe_link(known: LinkHistory, seen: LinkObservation, now: float) -> LinkHistory:
-    """The history with what a probe of the hosts saw: a connection that the link limits, or traffic that
-    refutes the readings.
+    """The history with what a probe of the hosts saw: an answer of the robot or none, a connection that the
+    link limits, or traffic that refutes the readings.
     """
+    known = _note_answer(known, seen, now)
     if seen.carries_bytes_per_s:
         return _add_reading(known, seen.carries_bytes_per_s, CapacitySource.TCP, now)
     return _refute_readings(known, seen.used_bytes_per_s, now)
+
+
+def _note_answer(known: LinkHistory, seen: LinkObservation, now: float) -> LinkHistory:
+    if seen.answered:
+        return replace(known, answered=True, silent=0, silent_since=0.0, cut_off=False)
+    if not known.answered:
+        return known
+    since = known.silent_since if known.silent else now
+    cut_off = known.silent + 1 >= _SILENT_PROBES and now - since >= _SILENT_S
+    return replace(known, silent=known.silent + 1, silent_since=since, cut_off=known.cut_off or cut_off)
 
 
 def add_sample(known: LinkHistory, result: LinkSampleResult, rtt_ms: float | None, now: float) -> LinkHistory:
@@ -102,11 +116,13 @@ def compute_live_link(link: LinkSample, known: LinkHistory, radio: float | None,
 
     The declared or assumed capacity is the upper bound, and holds where the readings are at most 10 % lower;
     one that ``probe --bandwidth`` measured is itself a reading, and the newer counts. A link that is down
-    stays down.
+    stays down, and one whose robot is cut off goes down.
     """
     nominal = link.capacity_bytes_per_s
     if not nominal:
         return link
+    if known.cut_off:
+        return replace(link, capacity_bytes_per_s=0.0)
     recent = _select_recent(known, now)
     live, source, age = nominal, link.capacity_source, 0.0
     if recent and (source is CapacitySource.MEASURED or _average(recent) < _BOUND_SHARE * nominal):

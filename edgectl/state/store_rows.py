@@ -18,7 +18,7 @@ from edgectl.model.point import (
     get_columns,
 )
 from edgectl.model.profile import UsageSample
-from edgectl.model.resource import HOST_RESOURCES, MEASURED_HOST_RESOURCES, TASK_RESOURCES, Usage
+from edgectl.model.resource import HOST_RESOURCES, MEASURED_HOST_RESOURCES, NETWORK, TASK_RESOURCES, Usage
 from edgectl.model.result import ActionResult, Outcome
 from edgectl.model.snapshot import (
     HostSample,
@@ -258,12 +258,13 @@ def task_points_from_snapshot(snapshot: Snapshot) -> Iterable[TaskPoint]:
 
 
 def _build_task_point(at: float, host: str, name: str, task: TaskSample) -> TaskPoint:
+    """Throughput of which a part is not seen is recorded as 0: no figure of a demand (ADR 0096)."""
     return TaskPoint(
         at=at,
         task=name,
         host=host,
         state=task.state,
-        used=task.used,
+        used=Usage({**task.used, NETWORK.name: 0.0}) if task.partial else task.used,
         instance=task.instance,
         spec_hash=task.spec_hash,
         age_s=round(max(0.0, at - task.started_at), 3) if task.started_at else 0.0,

@@ -8,7 +8,6 @@ from edgectl.doctor.diagnosis import diagnose_fleet
 from edgectl.gateway.fanout import fan_out
 from edgectl.gateway.host_facts import HostFactsOptions, collect_host_facts
 from edgectl.gateway.host_probe import ProbeOptions
-from edgectl.model.assignment import Shortage
 from edgectl.model.diagnosis import (
     Diagnosis,
     Disk,
@@ -19,6 +18,7 @@ from edgectl.model.diagnosis import (
     UnreachableHost,
 )
 from edgectl.model.inventory import Connection, Coordination, Host
+from edgectl.model.snapshot import Snapshot
 from edgectl.names import check_known_names
 from edgectl.rules.ros import list_ros_packages
 from edgectl.state.manager_state import load_link_capacities
@@ -48,15 +48,16 @@ def run_doctor(fleet: Fleet, state: Disk, names: Sequence[str] = (), *, timeout:
         near = dataclasses.replace(fleet, transport=BackoffTransport(pool))
         answers = _collect_answers(near, hosts, state, timeout)
         whole = not names and bool(fleet.tasks.tasks) and not state.obstacle
-        shortages = _find_shortages(near, answers, timeout) if whole else None
-    return diagnose_fleet(fleet.inventory, manager, answers, shortages)
+        snapshot = _probe_edges(near, answers, timeout) if whole else None
+    shortages = None if snapshot is None else find_fleet_shortages(fleet, snapshot)
+    return diagnose_fleet(fleet.inventory, manager, answers, shortages, snapshot)
 
 
-def _find_shortages(fleet: Fleet, answers: FactsByHost, timeout: float) -> tuple[Shortage, ...] | None:
-    """What the edges that answer lack, by a probe; None if none does. Silent hosts are not asked again."""
+def _probe_edges(fleet: Fleet, answers: FactsByHost, timeout: float) -> Snapshot | None:
+    """Probe the hosts; None if no edge answers. Silent hosts are not asked again."""
     if not any(isinstance(answers.get(edge.name), HostFacts) for edge in fleet.inventory.edges):
         return None
-    return find_fleet_shortages(fleet, probe_fleet(fleet, ProbeOptions(timeout=timeout)))
+    return probe_fleet(fleet, ProbeOptions(timeout=timeout))
 
 
 def _collect_manager_facts(

@@ -1,9 +1,11 @@
 """Live capacity of the links of a fleet: read at every probe, and by probes of idle links on request."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from edgectl.errors import StateError
 from edgectl.gateway.bandwidth import probe_idle_links
+from edgectl.model.event import Event, EventKind
 from edgectl.model.link_reading import LinkHistory, LinkObservation
 from edgectl.model.snapshot import Snapshot
 from edgectl.rules.live_links import (
@@ -32,10 +34,17 @@ def measure_live_links(
     false``. The readings are kept; a disk that does not take them costs a warning.
     """
     stored = load_link_histories(fleet.state, fleet.warn)
+    blind = {robot.name for robot in fleet.inventory.robots if not robot.probe}
     known = {
-        pair: observe_link(stored.get(pair, _NOTHING), link, snapshot.taken_at)
+        pair: observe_link(
+            stored.get(pair, _NOTHING),
+            # A robot that is never contacted never counts as cut off.
+            replace(link, answered=True) if pair[1] in blind else link,
+            snapshot.taken_at,
+        )
         for pair, link in observations.items()
     }
+    _record_cut_links(fleet, snapshot, stored, known)
     seen = apply_live_capacities(snapshot, known, observations, snapshot.taken_at)
     if probe_idle and fleet.inventory.probe_links:
         chosen = choose_links_to_probe(fleet.inventory, seen, known, observations, snapshot.taken_at)
@@ -51,6 +60,26 @@ def measure_live_links(
     }
     _save(fleet, stored, {pair: each for pair, each in {**others, **known}.items() if each != _NOTHING})
     return seen
+
+
+def _record_cut_links(
+    fleet: Fleet,
+    snapshot: Snapshot,
+    stored: Mapping[tuple[str, str], LinkHistory],
+    known: Mapping[tuple[str, str], LinkHistory],
+) -> None:
+    """Record an event for each edge that is cut off since the last probe from a robot that answers here."""
+    now = snapshot.taken_at
+    events = [
+        Event(at=now, kind=EventKind.LINK_DOWN, host=edge, message=f"{robot} does not answer it any more")
+        for (edge, robot), link in known.items()
+        if link.cut_off
+        and not stored.get((edge, robot), _NOTHING).cut_off
+        and robot in snapshot.hosts
+        and snapshot.hosts[robot].ok
+    ]
+    if events:
+        fleet.history.use(fleet.state, fleet.warn, lambda store: store.record_events(events))
 
 
 def _save(

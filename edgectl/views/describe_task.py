@@ -9,7 +9,7 @@ from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Step
 from edgectl.model.resource import RESOURCES
 from edgectl.model.snapshot import Snapshot, TaskSample
-from edgectl.model.task import Check, Task, Tasks
+from edgectl.model.task import Check, Task, Tasks, list_node_names
 from edgectl.units import format_bytes, format_cores, format_duration, format_instant
 from edgectl.views import metrics
 from edgectl.views.describe import Field, format_pairs, render_events_section, render_fields, render_section
@@ -111,6 +111,7 @@ def _list_spec_fields(stated: Task) -> list[Field]:
         ("Kind", stated.kind.value if stated.managed else f"{stated.kind.value}, not managed"),
         ("Command", stated.command),
         ("Workdir", stated.workdir or ""),
+        ("Nodes", ", ".join(list_node_names(stated))),
         ("Robots", ", ".join(stated.robots)),
         ("Needs", ", ".join(f"{need.task} ({need.until})" for need in stated.needs)),
         ("Priority", f"{stated.priority:g}" if stated.priority else ""),
@@ -118,6 +119,7 @@ def _list_spec_fields(stated: Task) -> list[Field]:
         ("Labels", format_pairs(stated.labels)),
         ("Hosts", _format_host_rules(stated)),
         ("Ready", _format_check(stated.ready)),
+        ("Alive", _format_check(stated.alive.check if stated.alive is not None else None)),
         ("Done when", _format_check(stated.done_when)),
         ("Restart", stated.restart.value),
         ("Stop", f"{stated.stop.signal}, then KILL after {format_duration(stated.stop.grace)}"),
@@ -139,7 +141,10 @@ def _list_spec_fields(stated: Task) -> list[Field]:
 
 
 def _format_check(check: Check | None) -> str:
-    return "" if check is None else f"{check.command!r} on {check.on} within {format_duration(check.timeout)}"
+    if check is None:
+        return ""
+    asked = repr(check.command) if check.ros is None else check.describe()
+    return f"{asked} on {check.on} within {format_duration(check.timeout)}"
 
 
 def _format_host_rules(stated: Task) -> str:
@@ -255,6 +260,7 @@ def _encode_task_spec(stated: Task) -> Document:
         "task_kind": stated.kind.value,
         "managed": stated.managed,
         "command": stated.command,
+        "node_names": list(list_node_names(stated)),
         "robot_names": list(stated.robots),
         "needs": [{"task": need.task, "until": need.until.value} for need in stated.needs],
         "priority": stated.priority,

@@ -14,7 +14,7 @@ KeysByName = Mapping[str, Keys]
 _RESOURCES = tuple(resource.name for resource in RESOURCES)
 _LINK_SAMPLE = (
     "capacity_bytes_per_s", "used_bytes_per_s", "rtt_ms", "capacity_source", "capacity_age_s",
-    "nominal_bytes_per_s",
+    "nominal_bytes_per_s", "partial",
 )  # fmt: skip
 _HOST = (
     "host", "role", "address", "connection", "labels", "limits", "onboard", "taken_at", "status", "error",
@@ -25,7 +25,7 @@ _ABSENT_TASK = ("task", "host", "taken_at", "state", "contacted_at", "managed")
 _RUN = (
     "task", "host", "taken_at", "state", "detail", "age_s", "started_at", "ended_at", *_RESOURCES, "restarts",
     "pid", "instance", "generation", "managed", "given_up", "exit_code", "last_exit", "enforcement",
-    "log_tail", "metrics",
+    "partial", "log_tail", "metrics",
 )  # fmt: skip
 _TASK = (*_RUN, "contacted_at", "in_files", "task_kind", "robot_names", "needs", "labels")
 _LINK = ("edge", "robot", "taken_at", *_LINK_SAMPLE)
@@ -62,7 +62,7 @@ LIST_KEYS: KeysByName = {
     "revision": _REVISION,
     "robot": _HOST,
     "task": _TASK,
-    "task-status": (*_RUN, "contacted_at", "attention"),
+    "task-status": (*_RUN, "contacted_at", "node_names", "attention"),
     "task-usage": (*_RUN, "history"),
 }  # fmt: skip
 
@@ -131,8 +131,8 @@ INNER_KEYS: KeysByName = {
         "reference_figures", "off_by",
     ),
     "spec": (
-        "template", "task_kind", "managed", "command", "robot_names", "needs", "priority", "deadline_s",
-        "labels", "restart", "handoff", "on_unreachable", "env",
+        "template", "task_kind", "managed", "command", "node_names", "robot_names", "needs", "priority",
+        "deadline_s", "labels", "restart", "handoff", "on_unreachable", "env",
     ),
     "utilisation": ("mean", "peak"),
 }  # fmt: skip

@@ -67,7 +67,7 @@ def encode_yaml(document: Mapping[str, object]) -> str:
 
 def encode_csv(rows: Sequence[Mapping[str, object]]) -> str:
     """A line of keys, then one per row. A key within an object is joined to it by ``_``; a list is JSON."""
-    flat = [_flatten_row(row) for row in rows]
+    flat = [flatten_row(row) for row in rows]
     keys = list(dict.fromkeys(key for row in flat for key in row))
     text = io.StringIO()
     writer = csv.DictWriter(text, keys, restval="", lineterminator="\n")
@@ -77,11 +77,12 @@ def encode_csv(rows: Sequence[Mapping[str, object]]) -> str:
     return text.getvalue()
 
 
-def _flatten_row(row: Mapping[str, object], prefix: str = "") -> dict[str, object]:
-    flat: dict[str, object] = {}
+def flatten_row(row: Mapping[str, object], prefix: str = "") -> dict[str, str]:
+    """The values of a row as text, each under its whole key."""
+    flat: dict[str, str] = {}
     for key, value in row.items():
         if isinstance(value, Mapping) and value:
-            flat |= _flatten_row(value, f"{prefix}{key}_")
+            flat |= flatten_row(value, f"{prefix}{key}_")
         else:
             flat[prefix + key] = _format_csv_value(value)
     return flat

@@ -131,7 +131,9 @@ def list_plan_notes(value: Plan) -> list[str]:
     return (
         lines
         + list_load_notes(value)
+        + list_down_link_notes(value.snapshot)
         + list_link_notes(value.snapshot)
+        + list_partial_notes(value.snapshot)
         + list_demand_notes(value)
         + list_left_alone_notes(value)
     )
@@ -151,6 +153,32 @@ def list_link_notes(snapshot: Snapshot) -> list[str]:
     ]
     more = len(slow) - len(lines)
     return lines + ([f"{more} more links carry less than nominal: edgectl get links"] if more else [])
+
+
+def list_down_link_notes(snapshot: Snapshot) -> list[str]:
+    """Links that are down although both ends answer the manager."""
+    down = [
+        f"{edge} - {robot}"
+        for edge, sample in snapshot.hosts.items()
+        for robot, link in sample.links.items()
+        if not link.capacity_bytes_per_s and robot in snapshot.hosts and snapshot.hosts[robot].ok
+    ]
+    if not down:
+        return []
+    return [f"link down, no task of the robot can run there: {join_first_words(down)}"]
+
+
+def list_partial_notes(snapshot: Snapshot) -> list[str]:
+    """Links whose traffic is seen only in part, by what it lacks: there the declared demand stands."""
+    found: dict[str, list[str]] = {}
+    for edge, sample in snapshot.hosts.items():
+        for robot, link in sample.links.items():
+            if link.partial:
+                found.setdefault(link.partial, []).append(f"{edge} - {robot}")
+    return [
+        f"partial: {gap} on {join_first_words(links)}; the declared throughput stands there"
+        for gap, links in found.items()
+    ]
 
 
 def list_load_notes(value: Plan) -> list[str]:

@@ -70,6 +70,7 @@ def encode_link_sample(link: LinkSample) -> Document:
         capacity_source=link.capacity_source.value,
         capacity_age_s=link.capacity_age_s,
         nominal_bytes_per_s=link.nominal,
+        partial=link.partial or None,
     )
 
 
@@ -148,6 +149,7 @@ def encode_run_row(name: str, host: str, sample: TaskSample, demand: Amounts, va
         exit_code=sample.exit_code,
         last_exit=sample.last_exit,
         enforcement=sample.limits or None,
+        partial=sample.partial or None,
         log_tail=list(sample.log_tail) or None,
         metrics=dict(sample.metrics) or None,
     )

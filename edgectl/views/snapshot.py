@@ -110,7 +110,11 @@ def _format_link_share(robot: str, link: LinkSample) -> str:
     share = (
         f" {link.used_bytes_per_s / link.capacity_bytes_per_s:.0%}" if link.capacity_bytes_per_s else " down"
     )
-    return f"{robot}{share}" + (f" {link.rtt_ms:.1f}ms" if link.rtt_ms is not None else "")
+    return (
+        f"{robot}{share}"
+        + (f" {link.rtt_ms:.1f}ms" if link.rtt_ms is not None else "")
+        + (f" (partial: {link.partial})" if link.partial else "")
+    )
 
 
 def _render_device_row(name: str, host: HostSample) -> Row:
@@ -128,7 +132,8 @@ def _render_device_row(name: str, host: HostSample) -> Row:
 
 
 def _format_link_details(robot: str, link: LinkSample) -> str:
-    return f"{robot} {format_rate(link.used_bytes_per_s)} of {describe_capacity(link)}"
+    partial = f" (partial: {link.partial})" if link.partial else ""
+    return f"{robot} {format_rate(link.used_bytes_per_s)}{partial} of {describe_capacity(link)}"
 
 
 def _format_interface(name: str, sample: InterfaceSample) -> str:

@@ -7,14 +7,15 @@ from edgectl.model.assignment import Shortage
 from edgectl.model.inventory import Inventory
 from edgectl.model.resource import RESOURCES
 from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
-from edgectl.model.task import Task, Tasks
+from edgectl.model.task import Task, Tasks, list_node_names
+from edgectl.rules.cut_off import list_cut_off_tasks
 from edgectl.rules.lost_places import describe_lost_place
 from edgectl.rules.overuse import find_overuses
 from edgectl.units import format_duration
 from edgectl.views.glossary import head
 from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import ListView
-from edgectl.views.output_format import NAMED_FORMATS
+from edgectl.views.output_format import FLEET_FORMATS
 from edgectl.views.plan_sections import (
     describe_overuse,
     list_doubled_notes,
@@ -64,7 +65,7 @@ class StatusView(ListView):
     """One row per task and host that reports it, and one per task of the files that no host reports."""
 
     kind = "task-status"
-    formats = NAMED_FORMATS
+    formats = FLEET_FORMATS
 
     def __init__(
         self, snapshot: Snapshot, inventory: Inventory, tasks: Tasks, shortages: Sequence[Shortage] = ()
@@ -75,8 +76,7 @@ class StatusView(ListView):
 
     def table(self, look: RenderOptions = PLAIN) -> str:
         """First what runs twice and what failed; usage beside demand, or below on a narrow terminal."""
-        rows: list[Row] = [_HEAD, *map(self._render_run_row, list_task_runs(self._snapshot))]
-        rows += [_render_absent_row(task, self._snapshot) for task in self._absent_tasks()]
+        rows = self._list_rows()
         if len(rows) == 1:
             return ""
         # A state may wrap, so the longest one does not count.
@@ -86,6 +86,28 @@ class StatusView(ListView):
         return self._render(
             list(_stack_demand_rows(rows)), look, right=set(range(3, _FIRST_USAGE + len(RESOURCES)))
         )
+
+    def wide(self, look: RenderOptions = PLAIN) -> str:
+        """The same with the ROS nodes of each task, as far as they are known."""
+        first, *rows = self._list_rows()
+        if not rows:
+            return ""
+        names = [name for name, _, _ in list_task_runs(self._snapshot)]
+        names += [task.name for task in self._absent_tasks()]
+        wider: list[Row] = [(*first, *head("node_names"))]
+        wider += [
+            (*row, ", ".join(self._list_nodes(name)) or "-") for name, row in zip(names, rows, strict=True)
+        ]
+        return self._render(wider, look, right=set(range(3, len(_HEAD))))
+
+    def _list_rows(self) -> list[Row]:
+        """The heading, then the rows."""
+        rows: list[Row] = [_HEAD, *map(self._render_run_row, list_task_runs(self._snapshot))]
+        return rows + [_render_absent_row(task, self._snapshot) for task in self._absent_tasks()]
+
+    def _list_nodes(self, name: str) -> tuple[str, ...]:
+        task = self._tasks.tasks.get(name)
+        return list_node_names(task) if task is not None else ()
 
     def _render(self, rows: list[Row], look: RenderOptions, *, right: set[int]) -> str:
         failed = [
@@ -100,6 +122,10 @@ class StatusView(ListView):
             first.append(
                 f"{len(unhealthy)} of {len(self._tasks.tasks)} tasks unhealthy: {', '.join(unhealthy)}"
             )
+        first += [
+            f"{task} on {host} is cut off from {robot}: the link is down, and both answer edgectl"
+            for task, host, robot in list_cut_off_tasks(self._tasks, self._snapshot)
+        ]
         return "".join(style_text(wrap_text(line, look), "bad", look) for line in first) + render_columns(
             rows, look, right=right, wrap={2}
         )
@@ -147,14 +173,21 @@ class StatusView(ListView):
                 find_task_demand(name, host, self._snapshot, self._inventory, self._tasks),
                 self._snapshot,
             )
+            | self._encode_nodes(name)
             | {"attention": self._describe_attention(name, sample) or None}
             for name, host, sample in list_task_runs(self._snapshot)
         ]
         absent = [
-            encode_absent_row(task, self._snapshot) | {"attention": _describe_absence(task, self._snapshot)}
+            encode_absent_row(task, self._snapshot)
+            | self._encode_nodes(task.name)
+            | {"attention": _describe_absence(task, self._snapshot)}
             for task in self._absent_tasks()
         ]
         return [*runs, *absent]
+
+    def _encode_nodes(self, name: str) -> Document:
+        nodes = self._list_nodes(name)
+        return {"node_names": list(nodes)} if nodes else {}
 
     def warnings(self) -> Sequence[str]:
         """Tasks that run twice, at lost places or of other fleets, hosts without a reply, marks, usage above

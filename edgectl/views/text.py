@@ -1,10 +1,11 @@
 """Text layout of all outputs: aligned columns, optional colour, escaped control characters."""
 
+import codecs
 import os
 import re
 import shutil
 import textwrap
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TextIO
 
@@ -14,6 +15,18 @@ _ANSI_STYLES = {
 }  # fmt: skip
 _NARROWEST_LAST_COLUMN = 24
 _BELOW_INDENT = 4
+# CSI; then OSC and other strings, which end within their line or are text; then all others (ECMA-48).
+_CONTROL_SEQUENCE = re.compile(
+    r"(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]"
+    r"|(?:\x1b[\]PX^_]|[\x90\x98\x9d-\x9f])[^\x07\x1b\x9c\n]*(?:\x07|\x1b\\|\x9c)"
+    r"|\x1b[ -/]*[0-~]"
+)
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+# One of them that the end of the text cuts.
+_BEGUN_SEQUENCE = re.compile(
+    r"(?:\x1b[ -/]*|(?:\x1b\[|\x9b)[0-?]{0,256}[ -/]{0,256}"
+    r"|(?:\x1b[\]PX^_]|[\x90\x98\x9d-\x9f])[^\x07\x1b\x9c\n]{0,4096}\x1b?)\Z"
+)
 _FIELD_BREAKS = re.compile(r"(?<=[,\s])")
 
 
@@ -72,6 +85,31 @@ def decode_log_output(data: bytes) -> str:
     """Output of a task: lines and tabs kept, every other control character escaped."""
     text = data.decode("utf-8", "replace")
     return "".join(c if c in "\n\t" or c.isprintable() else _escape_character(c) for c in text)
+
+
+def clean_log_text(text: str) -> str:
+    """Output of a task without control sequences and control characters but lines and tabs; what else changes
+    the look of a terminal, such as the direction of text, is escaped.
+    """
+    if text.isprintable():
+        return text
+    plain = _CONTROL.sub("", _CONTROL_SEQUENCE.sub("", text))
+    return "".join(c if c in "\n\t" or c.isprintable() else _escape_character(c) for c in plain)
+
+
+def decode_log(parts: Iterable[bytes], *, raw: bool = False) -> Iterator[str]:
+    """Output of a task as text, part by part, cleaned unless ``raw``; characters and control sequences may be
+    cut anywhere between two parts.
+    """
+    decoder, held = codecs.getincrementaldecoder("utf-8")("replace"), ""
+    for part in parts:
+        text = held + decoder.decode(part)
+        begun = None if raw else _BEGUN_SEQUENCE.search(text)
+        cut = len(text) if begun is None else begun.start()
+        held = text[cut:]
+        yield text[:cut] if raw else clean_log_text(text[:cut])
+    rest = held + decoder.decode(b"", final=True)
+    yield rest if raw else clean_log_text(rest)
 
 
 def _escape_character(character: str) -> str:

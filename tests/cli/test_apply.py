@@ -73,10 +73,11 @@ def test_apply_status_logs_restart_stop(run: Run, small: Path) -> None:
 
 def test_what_a_task_prints_cannot_steer_the_terminal(run: Run, small: Path) -> None:
     (small / "tasks/lab.yaml").write_text(
-        TASKS.replace("echo started", r"printf 'tab\\t\\033]0;title\\007\\377\\n'")
+        TASKS.replace("echo started", r"printf 'tab\\t\\033]0;title\\007\\033[31mred\\377\\n'")
     )
     assert run("apply", "--yes").code == 0
-    assert run("logs", "idle").out == "tab\t\\x1b]0;title\\x07\ufffd\n"
+    assert run("logs", "idle").out == "tab\tred\ufffd\n"
+    assert run("logs", "idle", "--raw").out == "tab\t\x1b]0;title\x07\x1b[31mred\ufffd\n"
 
 
 def test_a_saved_plan_is_applied_once(run: Run, small: Path) -> None:

@@ -5,6 +5,8 @@ processes of their own.
 """
 
 import os
+import shlex
+import shutil
 import signal
 import subprocess
 from pathlib import Path
@@ -19,10 +21,14 @@ from tests.compiled_agent import give_agent, give_key
 from tests.docs.blocks import blocks, make_tasks_idle, stopped
 from tests.forkserver import ForkedProcess
 from tests.pace import patience
+from tests.ros1_peer import serve_master
+from tests.rospy_standin import write_standin
 
 DOCS = Path(__file__).parents[2] / "docs"
 ENDLESS = ("edgectl logs slam-robot1 -f",)
 SERVING = ("edgectl export prometheus --listen 127.0.0.1:9815",)
+# With a stand-in for the packages of ROS; make ros runs them with real ones.
+PUBLISHING = ("edgectl export ros", "edgectl export ros --setup /opt/ros/humble/setup.bash")
 WATCHING = ("edgectl watch --apply --every 30s",)
 ASKING = ("edgectl apply", "edgectl drain edge1", "edgectl rollback")
 BUSY = 75  # the demo's tasks run
@@ -39,7 +45,7 @@ FIRST = ("edgectl init demo", "edgectl init .")
 EARLY = ("edgectl plan --out next.plan", "edgectl show next.plan", "edgectl apply next.plan")
 LATE = ("edgectl rollback", "edgectl drain", "edgectl stop")
 # These only read files; each gets its own scaffold.
-OF_FILES = ("edgectl simulate", "edgectl experiment show", "edgectl report", "edgectl ssim")
+OF_FILES = ("edgectl import", "edgectl simulate", "edgectl experiment show", "edgectl report", "edgectl ssim")
 
 
 def examples() -> list[str]:
@@ -56,7 +62,7 @@ def examples() -> list[str]:
 
 
 def starts_a_process(line: str) -> bool:
-    return line in (*ASKING, *WATCHING, *ENDLESS, *SERVING) or "-w" in line.split()
+    return line in (*ASKING, *WATCHING, *ENDLESS, *SERVING, *PUBLISHING) or "-w" in line.split()
 
 
 def run_process(line: str, site: Path, env: dict[str, str]) -> int:
@@ -74,6 +80,8 @@ def run_process(line: str, site: Path, env: dict[str, str]) -> int:
         return follow(words, site, env)
     if line in SERVING:
         return serve([word.replace(":9815", ":0") for word in words], site, env)
+    if line in PUBLISHING:
+        return publish(words[:2], site, env)
     return watch(words, site, env)
 
 
@@ -108,6 +116,24 @@ def serve(words: list[str], site: Path, env: dict[str, str]) -> int:
         return process.wait(patience(30))
 
 
+def publish(words: list[str], site: Path, env: dict[str, str]) -> int:
+    """With a master and packages of the test, until it publishes."""
+    setup = write_standin(site)
+    with serve_master() as master:
+        process = ForkedProcess(
+            [*words, "--setup", str(setup)],
+            cwd=site,
+            env={**env, "ROS_MASTER_URI": master.uri},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+        )
+        assert process.stderr is not None
+        with process.stderr as said:
+            assert any("publishing /diagnostics" in said.readline() for _ in range(5))
+            process.send_signal(signal.SIGINT)
+            return process.wait(patience(30))
+
+
 @pytest.fixture
 def env(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     """The environment of processes, and of this one."""
@@ -118,7 +144,7 @@ def env(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
 
 def in_this_process(line: str, run: Run) -> int:
     assert line.startswith("edgectl ")
-    return run(*line.split()[1:]).code
+    return run(*shlex.split(line)[1:]).code
 
 
 def examples_of_files() -> list[str]:
@@ -141,6 +167,9 @@ def test_every_example_of_files_runs(
     site = tmp_path / "demo"
     write_scaffold(site)
     (site / "docs").symlink_to(DOCS)
+    for file in (DOCS / "examples" / "launch").iterdir():
+        shutil.copy(file, site)
+    monkeypatch.setenv("EDGECTL_SSH_CONFIG", str(site / "ssh_config"))
     monkeypatch.chdir(site)
     assert in_this_process(line, run) == 0
 

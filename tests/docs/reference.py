@@ -20,7 +20,7 @@ standard error; piped output has no colour, no borders and is never cut.
 | 3 | some task is unplaced (only with `--detailed-exitcode`; beats 2) |
 | 4 | partly: a host that should answer did not, an action failed or was deferred (beats 3) |
 | 64 | the call or a file is wrong |
-| 75 | another edgectl holds the fleet, its etcd does not answer, or the saved plan is stale: try again |
+| 75 | another edgectl holds the fleet, its etcd or the ROS master does not answer, or the saved plan is stale: try again |
 | 130 | interrupted |
 
 """

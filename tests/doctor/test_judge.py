@@ -23,8 +23,8 @@ from edgectl.model.diagnosis import (
 from edgectl.model.inventory import Connection, Host
 from edgectl.model.resource import CPU, MEMORY
 from edgectl.model.ros import RosSettings
-from edgectl.model.snapshot import CapacitySource
-from tests.builders import a_robot, an_edge, an_inventory
+from edgectl.model.snapshot import CapacitySource, TaskSample, TaskState
+from tests.builders import a_link, a_robot, a_sample, a_snapshot, an_edge, an_inventory
 from tests.doctor.facts import DISK, FACTS, GI, LINK, LOGIND, MANAGER, ros_facts
 
 OK, WARNING, FAILED = Severity.OK, Severity.WARNING, Severity.FAILED
@@ -385,3 +385,17 @@ def test_what_the_edges_lack_is_a_warning_for_each_resource() -> None:
     enough = find_only(diagnose_fleet(fleet, MANAGER, {"edge1": FACTS}, ()), "room", None)
     assert (enough.level, enough.remedy) == (OK, "")
     assert not [f for f in diagnose_fleet(fleet, MANAGER, {"edge1": FACTS}).findings if f.check == "room"]
+
+
+def test_traffic_that_is_partly_seen_is_a_warning_with_its_tasks() -> None:
+    unseen = replace(a_link(), partial="udp unseen")
+    slam = TaskSample(state=TaskState.READY, partial="udp unseen")
+    snapshot = a_snapshot(edge1=a_sample(links={"robot1": unseen, "robot2": a_link()}, tasks={"slam": slam}))
+    fleet = an_inventory(EDGE, ROBOT)
+    found = find_only(diagnose_fleet(fleet, MANAGER, {"edge1": FACTS}, (), snapshot), "traffic")
+    assert (found.level, found.message) == (
+        WARNING,
+        "partial: udp unseen of slam to robot1; the declared demand stands",
+    )
+    whole = diagnose_fleet(fleet, MANAGER, {"edge1": FACTS}, (), a_snapshot(edge1=a_sample()))
+    assert not [each for each in whole.findings if each.check == "traffic"]

@@ -49,6 +49,7 @@ LINK = LinkSample(
     capacity_bytes_per_s=1.0,
     used_bytes_per_s=2.0,
     rtt_ms=3.0,
+    partial="udp unseen",
     capacity_source=CapacitySource.NIC,
     capacity_age_s=4.0,
     nominal=5.0,
@@ -56,7 +57,7 @@ LINK = LinkSample(
 TASK = TaskSample(
     state=TaskState.FAILED, pid=1, started_at=2.0, used=Usage(cpu=3.0, memory=4.0, network=5.0), links={"r": 6.0}, instance="i",
     spec_hash="s", generation=7, managed=False, restarts=8, exit_code=-9, detail="d",
-    fields={"command": "c"}, last_exit=3, log_tail=("l",), limits="enforced", given_up=True, metrics={"fps": 29.5}, ended_at=2.5, file="f", orphaned=True, adoptable=True, needed="a1b2c3",
+    fields={"command": "c"}, last_exit=3, log_tail=("l",), limits="enforced", given_up=True, metrics={"fps": 29.5}, ended_at=2.5, file="f", orphaned=True, adoptable=True, needed="a1b2c3", partial="udp unseen",
 )  # fmt: skip
 INTERFACE = InterfaceSample(rx_bytes_per_s=1.0, tx_bytes_per_s=2.0, speed_bytes_per_s=3.0)
 DEVICE = DeviceSample(

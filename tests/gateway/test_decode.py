@@ -11,6 +11,7 @@ import pytest
 
 from edgectl.errors import ReplyError
 from edgectl.formats.kinds import SNAPSHOT_KIND
+from edgectl.gateway.link_observations import decode_link_ends, join_link_ends
 from edgectl.gateway.probe_reply import (
     ASSUMED_BYTES_PER_S,
     ReplyContext,
@@ -164,6 +165,26 @@ def test_a_robot_that_cannot_be_reached_is_a_dead_link_unless_it_is_never_asked(
 def test_a_link_that_was_not_asked_for_is_left_out_and_a_missing_one_stays_missing() -> None:
     links = {"robot9": {"rx_bytes_per_s": 0.0, "tx_bytes_per_s": 0.0}}
     assert decode_document(a_document(links=links)).links == {}
+
+
+def test_a_link_is_partly_seen_where_the_host_says_so_or_a_living_task_of_the_robot_is() -> None:
+    def find_gap(robots: tuple[str, ...] = ("robot1",), state: str = "ready", link: str = "") -> str:
+        document = a_document(
+            links={"robot1": {"partial": link}}, tasks={"slam": a_task(partial="udp unseen", state=state)}
+        )
+        sample = decode_document(document, robots=("robot1",), robots_of={"slam": robots})
+        assert sample.tasks["slam"].partial == "udp unseen"
+        return sample.links["robot1"].partial
+
+    assert find_gap() == find_gap((), link="udp unseen") == "udp unseen"
+    assert find_gap(("robot2",)) == find_gap((), "ready") == find_gap(state="failed") == ""
+
+
+def test_traffic_that_is_partly_seen_does_not_tell_what_a_link_carries() -> None:
+    link = {"rx_bytes_per_s": 1e6, "carries_bytes_per_s": 1e6}
+    ends = {"edge1": decode_link_ends(a_document(links={"robot1": link, "robot2": link}))}
+    found = join_link_ends(ends, {("edge1", "robot1")})
+    assert [each.carries_bytes_per_s for each in found.values()] == [None, 1e6]
 
 
 def test_a_robot_has_no_links() -> None:

@@ -38,6 +38,20 @@ def test_the_mean_of_the_last_two_readings_lowers_the_declared_capacity() -> Non
     assert found == [2e6, 2.5e6, 2e6, 1e6, 6e6]
 
 
+def test_a_robot_that_answered_and_falls_silent_for_three_probes_and_five_seconds_is_cut_off() -> None:
+    def follow(*answers: bool | None, step: float = 2.5) -> float:
+        known = NEW
+        for number, answered in enumerate(answers):
+            known = observe_link(known, LinkObservation(answered=answered), number * step)
+        return live(known, now=(len(answers) - 1) * step)
+
+    assert follow(True, None, None) == 6e6
+    assert follow(True, None, None, None) == follow(True, None, False, None) == 0.0
+    assert follow(True, None, None, None, step=0.1) == 6e6, "three probes of one moment"
+    assert follow(True, None, None, None, True) == follow(True, None, None, True, None) == 6e6
+    assert follow(None, None, None, None) == 6e6, "behind a firewall it never answers"
+
+
 def test_source_age_and_nominal_capacity_are_told() -> None:
     link = compute_live_link(DECLARED, carry(NEW, 2e6, now=100.0), None, 107.5)
     assert (link.capacity_source, link.capacity_age_s, link.nominal) == (CapacitySource.TCP, 7.5, 6e6)

@@ -48,6 +48,16 @@ def test_what_is_recorded_is_read_back(tmp_path: Path) -> None:
         ] == [("slam", "edge1", 102.0, "s1")]
 
 
+def test_throughput_that_is_partly_seen_is_no_figure_of_a_demand(tmp_path: Path) -> None:
+    used = Usage(cpu=0.5, network=2e4)
+    with Store.open(tmp_path) as store:
+        for second, partial in enumerate(("udp unseen", "")):
+            tasks = {"slam": a_task(used=used, partial=partial)}
+            store.record_snapshot(a_snapshot(taken_at=NOW + second, edge1=a_sample(tasks=tasks)))
+        points = store.task_points("slam")
+    assert [(each.used["cpu"], each.used["network"]) for each in points] == [(0.5, 0.0), (0.5, 2e4)]
+
+
 def test_a_file_without_the_columns_of_a_resource_gets_them(tmp_path: Path) -> None:
     with Store.open(tmp_path) as store:
         store.record_snapshot(a_snapshot(taken_at=NOW, edge1=a_sample(used=1.0, tasks={"slam": a_task()})))

@@ -19,6 +19,17 @@ peer = socket.create_connection(({address!r}, 5001))
 while True:
     peer.sendall(bytes(65536))
 """
+_SEND_UDP = """
+import socket, time
+peer = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+peer.connect(({address!r}, 5002))
+while True:
+    try:
+        peer.send(bytes(1000))
+    except ConnectionRefusedError:
+        pass
+    time.sleep(0.01)
+"""
 _RECEIVE = """
 import socket
 server = socket.create_server(("0.0.0.0", 5001))
@@ -71,6 +82,18 @@ class ShapedNetwork(LocalTransport):
             words = f"qdisc replace dev {name} root tbf rate {mbit}mbit burst 16kb latency 100ms"
             assert not run_tc(*words.split(), netns=pid)
 
+    @contextmanager
+    def cut(self) -> Iterator[None]:
+        """Drop whatever the edge sends over the cable; both hosts still answer edgectl."""
+        pid = self.spaces["edge1"]
+        # No packet is as small as the bucket.
+        words = "qdisc replace dev edge1 root tbf rate 8kbit burst 10 latency 1ms"
+        assert not run_tc(*words.split(), netns=pid)
+        try:
+            yield
+        finally:
+            assert not run_tc(*["qdisc", "del", "dev", "edge1", "root"], netns=pid)
+
     def count_received(self, name: str) -> int:
         """Bytes that the host has received over the cable."""
         lines = Path(f"/proc/{self.spaces[name]}/net/dev").read_text().splitlines()
@@ -92,6 +115,12 @@ class ShapedNetwork(LocalTransport):
             server.stdout.readline()
             with self._run(sender, _SEND.format(address=self.addresses[receiver])):
                 yield
+
+    @contextmanager
+    def udp(self, sender: str, receiver: str) -> Iterator[None]:
+        """A connected UDP socket over which ``sender`` sends 100 kB/s."""
+        with self._run(sender, _SEND_UDP.format(address=self.addresses[receiver])):
+            yield
 
     @contextmanager
     def _run(self, name: str, program: str) -> "Iterator[subprocess.Popen[bytes]]":

@@ -10,6 +10,7 @@ from edgectl.model.snapshot import CapacitySource, LinkSample
 from edgectl.state.link_readings import load_link_histories
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.probe import probe_fleet
+from edgectl.usecases.record import list_events_after
 from tests.agent.conftest import eventually
 from tests.builders import a_robot, an_edge, an_inventory, some_tasks
 from tests.usecases.shaped_network import ShapedNetwork, find_missing, make_shaped_network
@@ -104,6 +105,26 @@ def test_a_busy_link_is_read_from_tcp_by_the_end_that_sends_and_is_never_probed(
             found.append(site.probe(0.5))
     assert found[-1].capacity_source is CapacitySource.TCP
     assert site.sampled_at == 0.0
+
+
+def test_a_cut_link_is_down_within_three_probes_is_said_once_and_comes_back_with_an_answer(
+    network: ShapedNetwork, site: Site
+) -> None:
+    assert site.probe(0.05).capacity_bytes_per_s
+    with network.cut():
+        down = [site.probe(0.05).capacity_bytes_per_s for _ in range(4)]
+        assert down[2:] == [0.0, 0.0]
+    assert site.probe(0.05).capacity_bytes_per_s
+    said = [
+        (each.host, each.message) for each in list_events_after(site.fleet, 0) if each.kind == "link-down"
+    ]
+    assert said == [("edge1", "robot1 does not answer it any more")]
+
+
+def test_udp_over_the_cable_is_said_for_the_link(network: ShapedNetwork, site: Site) -> None:
+    assert site.probe(0.05).partial == ""
+    with network.udp("edge1", "robot1"):
+        assert eventually(lambda: site.probe(0.05).partial) == "udp unseen"
 
 
 def test_probes_are_ten_seconds_apart_and_off_where_the_inventory_says_so(

@@ -305,7 +305,7 @@ def test_an_unsupported_form_names_those_that_are() -> None:
     with pytest.raises(UsageError) as caught:
         render_view(StatusView(snapshot, inventory, tasks), OutputFormat.MARKDOWN)
     assert caught.value.message == 'output format "markdown" is not supported here'
-    assert caught.value.hint == "use -o table, json, jsonl, yaml, csv or name"
+    assert caught.value.hint == "use -o table, wide, json, jsonl, yaml, csv or name"
 
 
 def test_numbers_are_rounded_at_the_encoder() -> None:

@@ -1,10 +1,24 @@
-"""Notes of a plan on links that carry less than their nominal capacity."""
+"""Notes of a plan on links that carry less than their nominal capacity, and on those that are partly seen."""
 
 from dataclasses import replace
 
 from edgectl.model.snapshot import CapacitySource
-from edgectl.views.plan_sections import list_link_notes
-from tests.builders import a_link, a_sample, a_snapshot
+from edgectl.rules.cut_off import list_cut_off_tasks
+from edgectl.views.plan_sections import list_down_link_notes, list_link_notes, list_partial_notes
+from edgectl.views.snapshot import SnapshotView
+from edgectl.views.status import StatusView
+from tests.builders import (
+    a_link,
+    a_robot,
+    a_run,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    silent,
+    some_tasks,
+)
 
 LIVE = replace(a_link(2e6), nominal=10e6, capacity_source=CapacitySource.TCP, capacity_age_s=3.0)
 
@@ -22,3 +36,31 @@ def test_a_plan_notes_slow_links_with_source_and_age_the_worst_first() -> None:
 def test_many_slow_links_are_counted() -> None:
     slow = a_snapshot(edge1=a_sample(links={f"robot{number}": LIVE for number in range(5)}))
     assert list_link_notes(slow)[3:] == ["2 more links carry less than nominal: edgectl get links"]
+
+
+def test_a_plan_and_a_probe_name_the_links_that_are_partly_seen() -> None:
+    unseen = replace(a_link(), partial="udp unseen")
+    snapshot = a_snapshot(
+        edge1=a_sample(links={"robot1": unseen, "robot2": a_link()}), edge2=a_sample(links={"robot1": unseen})
+    )
+    assert list_partial_notes(snapshot) == [
+        "partial: udp unseen on edge1 - robot1 and edge2 - robot1; the declared throughput stands there"
+    ]
+    assert SnapshotView(snapshot).table().count("(partial: udp unseen)") == 2
+    assert SnapshotView(snapshot).wide().count("(partial: udp unseen)") == 4
+
+
+def test_a_link_that_is_down_is_noted_where_the_robot_answers_the_manager() -> None:
+    links = {"robot1": a_link(0.0), "robot2": a_link(0.0), "robot3": a_link()}
+    snapshot = a_snapshot(edge1=a_sample(links=links), robot1=a_sample(), robot2=silent(), robot3=a_sample())
+    assert list_down_link_notes(snapshot) == ["link down, no task of the robot can run there: edge1 - robot1"]
+    tasks = some_tasks(a_task("slam", robots=("robot1",)), a_task("map", robots=("robot3",)))
+    runs = {"slam": a_run(), "map": a_run()}
+    seen = replace(snapshot, hosts={**snapshot.hosts, "edge1": a_sample(links=links, tasks=runs)})
+    assert list(list_cut_off_tasks(tasks, seen)) == [("slam", "edge1", "robot1")]
+    fleet = an_inventory(an_edge("edge1"), *map(a_robot, ("robot1", "robot2", "robot3")))
+    assert (
+        StatusView(seen, fleet, tasks)
+        .table()
+        .startswith("slam on edge1 is cut off from robot1: the link is down")
+    )

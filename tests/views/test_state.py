@@ -4,7 +4,11 @@ from dataclasses import replace
 
 from edgectl.cli.exit_codes import of_status
 from edgectl.errors import ExitCode
+from edgectl.model.ros import RosCheck
 from edgectl.model.snapshot import TaskState
+from edgectl.model.task import AliveRule, Check
+from edgectl.views.describe_task import TaskDetailsView
+from edgectl.views.output_format import OutputFormat
 from edgectl.views.state import format_task_state
 from edgectl.views.status import StatusView
 from tests.builders import a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
@@ -72,3 +76,29 @@ def test_status_says_first_what_is_not_alive_and_counts_it_as_a_failure() -> Non
         TaskState.READY: (False, ExitCode.DONE),
     }
     assert format_task_state(sick) == "unhealthy (node /slam is not registered)"
+
+
+def test_the_nodes_of_a_task_are_those_that_it_states() -> None:
+    inventory = an_inventory(an_edge("edge1"))
+    alive = AliveRule(check=Check(ros=RosCheck(node="/robot1/odom")))
+    tasks = some_tasks(
+        a_task("slam", command="rosrun gmapping slam __name:=slam __ns:=/robot1", alive=alive),
+        a_task("launched", command="roslaunch lab all.launch"),
+    )
+    seen = a_snapshot({"edge1": a_sample(tasks={"slam": a_run(), "stranger": a_run()})})
+    view = StatusView(seen, inventory, tasks)
+    lines = show(view, OutputFormat.WIDE).splitlines()
+    assert lines[0].split()[-1] == "NODES"
+    assert {line.split()[0]: line.partition("0B/s")[2].split()[-2:] for line in lines[1:2]} == {
+        "slam": ["/robot1/slam,", "/robot1/odom"]
+    }
+    assert [(line.split()[0], line.split()[-1]) for line in lines[2:4]] == [
+        ("stranger", "-"),
+        ("launched", "-"),
+    ]
+    assert "NODES" not in show(view)
+    items = {str(item["task"]): item.get("node_names") for item in view.items()}
+    assert items == {"slam": ["/robot1/slam", "/robot1/odom"], "stranger": None, "launched": None}
+    shown = TaskDetailsView("slam", seen, inventory, tasks, None, None)
+    assert "/robot1/slam, /robot1/odom" in show(shown)
+    assert "node /robot1/odom is alive on host within 20s" in show(shown)

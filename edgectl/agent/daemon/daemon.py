@@ -13,6 +13,7 @@ import time
 from ..link import fast_json, heartbeat
 from ..link.fast_json import Document
 from ..measure import device, network, proc
+from ..measure.udp import UdpMeter
 from . import pidfile, sample_ring
 from .process_tracker import ProcessTracker
 
@@ -78,6 +79,7 @@ class ProfilerDaemon:
         self.addresses = network.resolve_robots(self.links)
         self.peers = network.resolve_robots(self.peer_links)
         self.traffic = network.TrafficMeter(dict(self.addresses, **self.peers))
+        self.udp = UdpMeter()
         self.rates: "Document | None" = None
         self.number = 0
         self.cost, self.spent, self.begun, self.next_look = (
@@ -128,8 +130,11 @@ class ProfilerDaemon:
         cpu, flows = self.cpu.measure(), self.traffic.flows()
         before, self.totals = self.totals, network.read_interface_bytes()
         probes.close(self.addresses)
+        udp = self.udp.find_sockets()
         tasks, used = self.tasks.measure(flows, self.addresses, seconds)
-        links = network.build_links(self.addresses, flows, probes, self.traffic.seconds, self.slow["routes"])
+        links = network.build_links(
+            self.addresses, flows, probes, self.traffic.seconds, self.slow["routes"], udp
+        )
         raw = {
             "cpu": cpu["used_cores"] - sum(each["used_cores"] for each in tasks.values()),
             "interfaces": network.compute_rates(before, self.totals, seconds),
@@ -144,6 +149,8 @@ class ProfilerDaemon:
             reachable={robot: link["reachable"] for robot, link in links.items()},
             carries={robot: link["carries_bytes_per_s"] for robot, link in links.items()},
             radios={robot: link["radio_bytes_per_s"] for robot, link in links.items()},
+            partial_links={robot: link["partial"] for robot, link in links.items()},
+            partial_tasks=self.tasks.describe_gaps(udp, self.addresses),
             peers=network.build_peers(self.peers, flows, self.traffic.seconds),
         )
         return {

@@ -50,6 +50,10 @@ class ProcessTracker:
         self.then = {name: task.collect_cpu_s(group, table) for name, group in self.groups.items()}
         return rates, used
 
+    def describe_gaps(self, udp: "dict[int, str]", addresses: "dict[str, list[str]]") -> "dict[str, str]":
+        """Describe what of the traffic is not seen, by key of the run, of the tasks last measured."""
+        return {name: task.describe_gap(held, udp, addresses) for name, held in self.sockets.items()}
+
     def _read_table(self) -> "dict[int, proc.Process]":
         """Read the relevant processes: the known ones, or all together with their assignment to tasks."""
         names = state_dir.list_task_names(self.host)

@@ -6,6 +6,7 @@ No sample window passes.
 from ..link import protocol
 from ..link.fast_json import Document
 from ..measure import device, network, proc, task
+from ..measure.udp import find_sockets
 from ..supervise import state_dir, status
 from . import pidfile, process_tracker
 
@@ -69,6 +70,7 @@ def _build_link_entry(robot: str, rate: Document, levels: Document, alive: "list
         "reachable": levels["reachable"][robot],
         "carries_bytes_per_s": levels["carries"][robot],
         "radio_bytes_per_s": levels["radios"][robot],
+        "partial": levels["partial_links"][robot],
     }
 
 
@@ -77,6 +79,7 @@ def _build_task_rates(rate: Document) -> Document:
         task.build_traffic_entry(rate),
         used_cores=round(max(0.0, rate["used_cores"]), 4),
         used_bytes=int(rate["used_bytes"]),
+        partial=rate["partial"],
     )
 
 
@@ -121,7 +124,10 @@ def _find_sampled_rates(name: str, entry: Document, sample: Document) -> "Docume
     rate = sample["rates"]["tasks"].get(known)
     if rate is None or entry["state"] not in protocol.ALIVE_STATES:
         return None
-    return dict(rate, used_bytes=sample["levels"]["bytes"].get(known, 0))
+    levels = sample["levels"]
+    return dict(
+        rate, used_bytes=levels["bytes"].get(known, 0), partial=levels["partial_tasks"].get(known, "")
+    )
 
 
 def _measure_since_start(
@@ -132,13 +138,14 @@ def _measure_since_start(
 ) -> Document:
     """Measure the average since the start of a task that was started after the last sample."""
     seconds = max(0.1, group.entry["age_s"])
-    rate = task.compute_traffic(task.list_sockets(group.pids), flows, addresses, seconds)
+    held = task.list_sockets(group.pids)
     return dict(
-        rate,
+        task.compute_traffic(held, flows, addresses, seconds),
+        partial=task.describe_gap(held, find_sockets(busy=False), addresses),
         used_cores=task.compute_cores(group, table, {}, seconds),
         used_bytes=task.read_task_memory(group, table),
     )
 
 
 def _build_zero_rates() -> Document:
-    return {"rx": 0.0, "tx": 0.0, "robots": {}, "used_cores": 0.0, "used_bytes": 0}
+    return {"rx": 0.0, "tx": 0.0, "robots": {}, "used_cores": 0.0, "used_bytes": 0, "partial": ""}

@@ -168,6 +168,9 @@ ALIVE_STATES = (STARTING, RUNNING, READY, UNHEALTHY)
 FAILED_STATES = (FAILED, CRASHLOOP)
 FINAL_STATES = (COMPLETED, FAILED, CRASHLOOP, STOPPED)
 
+# ``partial`` of a link and of a task in the reply to OP_PROBE: what its traffic lacks; empty where nothing.
+UDP_UNSEEN = "udp unseen"
+
 # ``exit`` in the reply to OP_CHECK where the ROS graph was to be asked and nobody could be.
 UNKNOWN_EXIT = 2
 

@@ -3,7 +3,7 @@ interface.
 
 A connection belongs to a robot when its *remote* address is the robot's: on a machine that hosts a whole test
 fleet with loopback addresses, both ends of a connection are visible. The kernel counts bytes per TCP
-connection; UDP counts in the interface totals only.
+connection; UDP counts in the interface totals only, so where there is any the reading is partial.
 """
 
 import errno
@@ -11,6 +11,7 @@ import os
 import select
 import time
 
+from ..link import protocol
 from ..link.fast_json import Document
 from . import link_rate, proc, radio, sockets
 from .sockets import socket
@@ -226,14 +227,19 @@ def build_links(
     probes: ConnectProbes,
     seconds: float,
     interfaces: "dict[str, str | None]",
+    udp: "dict[int, str]",
 ) -> "dict[str, Document]":
-    """Build robot -> rates, round-trip time, interface, reachability, and what the link carries now."""
-    radios = radio.read_rates(interfaces.values())
+    """Build robot -> rates, round-trip time, interface, reachability, and what the link carries now.
+
+    ``udp``: the sockets as ``UdpMeter.find_sockets``; a link with a connected one is partly seen.
+    """
+    radios, unseen = radio.read_rates(interfaces.values()), set(udp.values())
     return {
         robot: dict(
             _build_link(robot, found, flows, probes, seconds),
             interface=interfaces[robot],
             radio_bytes_per_s=radios.get(interfaces[robot]),
+            partial=protocol.UDP_UNSEEN if unseen.intersection(found) else "",
         )
         for robot, found in addresses.items()
     }

@@ -10,6 +10,7 @@ from ..link.fast_json import Document
 from ..supervise import adoption, other_tasks, state_dir, status
 from . import device, metrics, network, proc
 from .task import TaskMeter
+from .udp import UdpMeter
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -110,14 +111,15 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
     tasks = TaskMeter(request["host"], request.get("detect", []))
     checks = _RunningChecks(request["host"], request.get("checks", []), tasks.before)
     traffic, totals = network.TrafficMeter(dict(addresses, **peers)), network.read_interface_bytes()
-    cpu, started = device.CpuMeter(), time.monotonic()
+    udp, cpu, started = UdpMeter(), device.CpuMeter(), time.monotonic()
     probes = network.ConnectProbes(addresses)
     probes.wait(max(started + window, time.monotonic() + _MIN_CONNECT_S))
     reading = cpu.measure()
     seconds = time.monotonic() - started
     flows, rates = traffic.flows(), network.compute_rates(totals, network.read_interface_bytes(), seconds)
     traffic.close()
-    measured = tasks.measure(flows, addresses, seconds)
+    datagrams = udp.find_sockets()
+    measured = tasks.measure(flows, datagrams, addresses, seconds)
     probes.close(addresses)
     return {
         "psutil": device.find_psutil_folder() is not None,
@@ -131,7 +133,7 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
             for name, rate in rates.items()
         },
         "links": network.build_links(
-            addresses, flows, probes, traffic.seconds, network.find_interfaces(addresses)
+            addresses, flows, probes, traffic.seconds, network.find_interfaces(addresses), datagrams
         ),
         "peers": network.build_peers(peers, flows, traffic.seconds),
         "tasks": measured,

@@ -89,20 +89,24 @@ class TaskMeter:
         ]
 
     def measure(
-        self, flows: "list[Flow]", addresses: "dict[str, list[str]]", seconds: float
+        self,
+        flows: "list[Flow]",
+        udp: "dict[int, str]",
+        addresses: "dict[str, list[str]]",
+        seconds: float,
     ) -> "dict[str, Document]":
         """Measure: task -> entry with rates."""
-        return {
-            name: dict(
+        found = {}
+        for table, name, group in self._find_groups():
+            held = list_sockets(group.pids) if flows or udp else set()
+            found[name] = dict(
                 group.entry,
                 used_cores=compute_cores(group, table, self.before.get(name, {}), seconds),
                 used_bytes=read_task_memory(group, table),
-                **build_traffic_entry(
-                    compute_traffic(list_sockets(group.pids) if flows else set(), flows, addresses, seconds)
-                ),
+                partial=describe_gap(held, udp, addresses),
+                **build_traffic_entry(compute_traffic(held, flows, addresses, seconds)),
             )
-            for table, name, group in self._find_groups()
-        }
+        return found
 
 
 def collect_cpu_s(group: TaskProcesses, table: "dict[int, proc.Process]") -> "dict[int, float]":
@@ -153,6 +157,15 @@ def _read_pss(pid: int, rss: int) -> int:
 def list_sockets(pids: "set[int]") -> "set[int]":
     """List the inodes of the sockets that the processes hold."""
     return {inode for pid in pids for inode in sockets.list_socket_inodes(pid)}
+
+
+def describe_gap(held: "set[int]", udp: "dict[int, str]", addresses: "dict[str, list[str]]") -> str:
+    """Describe what of the traffic over the sockets ``held`` is not seen; empty where all is.
+
+    ``udp`` as ``UdpMeter.find_sockets``: the sockets that are connected to a robot, or to nobody.
+    """
+    robots = {"", *(address for found in addresses.values() for address in found)}
+    return protocol.UDP_UNSEEN if any(udp[inode] in robots for inode in held & udp.keys()) else ""
 
 
 def compute_traffic(

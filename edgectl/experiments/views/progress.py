@@ -15,6 +15,7 @@ _PROBLEM_EVENTS = (
     EventKind.HOST_LOST,
     EventKind.HOST_BACK,
     EventKind.HOST_REBOOTED,
+    EventKind.LINK_DOWN,
     EventKind.TASK_FAILED,
     EventKind.TASK_CRASHLOOP,
     EventKind.TASK_LOST,
