@@ -7,13 +7,14 @@ from dataclasses import replace
 
 from edgectl.model.assignment import Certificate, Decision, Reason, Verdict
 from edgectl.scheduler.choice import Choice
-from edgectl.scheduler.decided_plan import DecidedPlan, choose_places, list_wanted
+from edgectl.scheduler.decided_plan import DecidedPlan, choose_places, list_wanted, rebalance_plan
 from edgectl.scheduler.integer_program import Solver
 from edgectl.scheduler.optimum import certify, find_optimum, value_plan
 from edgectl.scheduler.settle import (
     GroupedPlan,
     SettledPlan,
     build_decided_plan,
+    change_choices,
     find_incomplete_groups,
     take_better,
     withhold_tasks,
@@ -34,11 +35,29 @@ def find_best_plan(
     left_out = _list_hopeless_members(origin, wanted)
     optimum = find_optimum(origin, before, solve, left_out)
     how = withhold_tasks(whole, _withhold_unplaced_groups(whole, known, optimum.places))
-    best = take_better(how, origin, known.found, choose_places(before, optimum.places))
+    places = _improve_newcomers(how, known.found, before, optimum.places)
+    best = take_better(how, origin, known.found, choose_places(before, places))
     if best is not known.found and find_incomplete_groups(how, best):
         best = known.found
     value = value_plan(build_decided_plan(how, best), origin)
     return best, certify(value, len(origin.placed.keys() | wanted - left_out), optimum, len(left_out))
+
+
+def _improve_newcomers(
+    how: PlacementPass, known: SettledPlan, before: DecidedPlan, places: Mapping[str, int]
+) -> dict[str, int]:
+    """``places`` with those of the tasks that this plan starts improved (ADR 93).
+
+    Where the time was too short for the third level they are as they come, and settling such a plan moves
+    running tasks away from them.
+    """
+    changed = choose_places(before, places)
+    if not changed:
+        return dict(places)
+    outcome = change_choices(how, known.outcome, changed)
+    plan = replace(before, choices=outcome.choices, placed=outcome.placed, ledger=outcome.ledger)
+    better = rebalance_plan(plan, started_only=True)
+    return {**places, **{name: choice.place for name, choice in better.items() if choice.place is not None}}
 
 
 def _return_withheld_tasks(whole: PlacementPass, known: GroupedPlan) -> DecidedPlan:

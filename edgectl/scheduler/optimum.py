@@ -3,8 +3,9 @@ moves; sum of utilities. Pure: the solver is given.
 """
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import ceil, inf
 
 from edgectl.model.assignment import Certificate
@@ -17,12 +18,14 @@ from edgectl.scheduler.packing import Packing, Shares
 from edgectl.scheduler.placement_model import (
     bound_alone,
     build_model,
+    count_arrivals_apart,
     count_moves,
     count_placed_tasks,
     sum_utilities,
 )
-from edgectl.scheduler.placement_problem import PlacementItem, PlacementProblem, Requirements
+from edgectl.scheduler.placement_problem import PlacementItem, PlacementModel, PlacementProblem, Requirements
 from edgectl.scheduler.placement_rules import list_breaches
+from edgectl.scheduler.slack_links import drop_slack_links
 from edgectl.scheduler.utility import EPSILON
 
 # Differences of a sum of utilities below this are rounding.
@@ -250,10 +253,8 @@ def _place_by_priority(
         low, high = sum(name in found for name in names), len(names)
         if low < high:
             required = {each: count for each, (count, _) in counts.items()}
-            model = build_model(problem, Requirements(placed=required))
-            count_placed_tasks(model, priority)
-            model.start_from(found)
-            solution = solve(model.program, _FIRST_SHARE)
+            count = partial(count_placed_tasks, priority=priority)
+            model, solution = _solve_first_level(problem, Requirements(placed=required), count, found, solve)
             high = min(high, int(solution.bound + TOLERANCE)) if abs(solution.bound) < inf else high
             if solution.values is not None:
                 other = model.read_places(solution.values)
@@ -264,6 +265,21 @@ def _place_by_priority(
     return found, counts
 
 
+def _solve_first_level(
+    problem: PlacementProblem,
+    required: Requirements,
+    set_objective: Callable[[PlacementModel], None],
+    places: Mapping[str, int],
+    solve: Solver,
+) -> tuple[PlacementModel, Solution]:
+    """The program of level 1 or 2, as small as it gets (ADR 93), and its solution, begun from ``places``."""
+    model = build_model(drop_slack_links(problem), required)
+    set_objective(model)
+    count_arrivals_apart(model)
+    model.start_from(places)
+    return model, solve(model.program, _FIRST_SHARE)
+
+
 def _reduce_moves(
     problem: PlacementProblem, places: dict[str, int], required: Requirements, solve: Solver
 ) -> tuple[dict[str, int], int, int]:
@@ -271,10 +287,7 @@ def _reduce_moves(
     moves = _count_moves(problem, places)
     if moves == 0:
         return places, 0, 0
-    model = build_model(problem, required)
-    count_moves(model)
-    model.start_from(places)
-    solution = solve(model.program, _FIRST_SHARE)
+    model, solution = _solve_first_level(problem, required, count_moves, places, solve)
     least = 0
     if abs(solution.bound) < inf:
         least = max(0, ceil(-(solution.bound + model.constant) - 0.5 - TOLERANCE))

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from math import inf
 
 from edgectl.model.resource import AFFINITY, HOST_RESOURCES, NETWORK
-from edgectl.scheduler.integer_program import IntegerProgram
+from edgectl.scheduler.integer_program import IntegerProgram, Row
 from edgectl.scheduler.placement_problem import (
     Kind,
     PlacementItem,
@@ -21,18 +21,24 @@ from edgectl.scheduler.placement_problem import (
 from edgectl.scheduler.rule_rows import add_rule_rows
 from edgectl.scheduler.utility import EPSILON
 
-# Above this many variables the sum of utilities is not bounded by a program.
-MAX_UTILITY_VARIABLES = 60_000
+# Above this many variables the sum of utilities is not bounded by a program: of 35 000 not even the linear
+# relaxation is solved in 7 s.
+MAX_UTILITY_VARIABLES = 30_000
 
 
 def build_model(problem: PlacementProblem, required: Requirements) -> PlacementModel:
-    """The program of all placements that fit and meet ``required``, without an objective."""
+    """The program of all placements that fit and meet ``required``, without an objective.
+
+    Of a priority of which all tasks are required, each kind must be placed whole.
+    """
     program = IntegerProgram()
     kinds = list_kinds(problem)
     model = PlacementModel(problem=problem, program=program, kinds=kinds)
+    counts = Counter(item.priority for item in problem.items)
+    whole = {priority for priority, count in required.placed.items() if count == counts[priority]}
     for kind in kinds:
         kind.at = {place: program.add_variable(upper=float(len(kind.members))) for place in kind.first.shares}
-        least = sum(item.home is not None for item in kind.members)
+        least = sum(item.home is not None or item.priority in whole for item in kind.members)
         program.add_row(
             dict.fromkeys(kind.at.values(), 1.0), lower=float(least), upper=float(len(kind.members))
         )
@@ -40,7 +46,8 @@ def build_model(problem: PlacementProblem, required: Requirements) -> PlacementM
     _add_need_rows(model)
     add_rule_rows(model)
     for priority, count in required.placed.items():
-        program.add_row(dict.fromkeys(_list_variables(model, priority), 1.0), lower=float(count))
+        if priority not in whole:
+            program.add_row(dict.fromkeys(_list_variables(model, priority), 1.0), lower=float(count))
     if required.most_moves is not None:
         running = sum(item.home is not None for item in problem.items)
         _add_stays(model)
@@ -76,6 +83,29 @@ def count_moves(model: PlacementModel) -> None:
         model.constant -= count * (1.0 + kind.first.move_cost / total)
     for variable, cost in model.stays.items():
         model.program.gains[variable] += 1.0 + cost / total
+
+
+def count_arrivals_apart(model: PlacementModel) -> None:
+    """Let the variables of kinds leave out the tasks that stay at home, which have their own.
+
+    The placements are the same; HiGHS proves the fewest moves in half of the time.
+    """
+    program = model.program
+    model.apart = {
+        kind.at[place]: stay
+        for kind in model.kinds
+        for place, stay in kind.stays.items()
+        if stay != kind.at[place]
+    }
+    for variable, stay in model.apart.items():
+        program.gains[stay] += program.gains[variable]
+    for index, row in enumerate(program.rows):
+        terms = dict(zip(row.variables, row.coefficients, strict=True))
+        for variable in row.variables:
+            if variable in model.apart:
+                stay = model.apart[variable]
+                terms[stay] = terms.get(stay, 0.0) + terms[variable]
+        program.rows[index] = Row(row.lower, row.upper, tuple(terms), tuple(terms.values()))
 
 
 def sum_utilities(model: PlacementModel) -> bool:
@@ -158,7 +188,7 @@ def _add_stays(model: PlacementModel) -> None:
                 model.program.add_row({stay: 1.0, variable: -1.0}, upper=0.0)
                 variable = stay
             model.stays[variable] = kind.first.move_cost
-            kind.stays.append(variable)
+            kind.stays[place] = variable
 
 
 def _add_handoff_row(model: PlacementModel, most: int) -> None:
@@ -174,7 +204,7 @@ def _add_handoff_row(model: PlacementModel, most: int) -> None:
             continue
         if unit is not None:
             seen.add(unit)
-        terms |= dict.fromkeys(kind.stays, 1.0 if unit is None else 1.0 / running)
+        terms |= dict.fromkeys(kind.stays.values(), 1.0 if unit is None else 1.0 / running)
         total += running if unit is None else 1
     model.program.add_row(terms, lower=float(total - most))
 

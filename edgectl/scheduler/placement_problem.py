@@ -11,6 +11,10 @@ from edgectl.scheduler.integer_program import IntegerProgram
 from edgectl.scheduler.packing import Shares
 from edgectl.scheduler.placement_rules import NO_RULES, PlacementRules
 
+# Decimal places of shares that tell kinds apart: the share of a task where it runs is computed in another way
+# than elsewhere, and differs by rounding.
+_KIND_DIGITS = 9
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlacementItem:
@@ -67,12 +71,12 @@ class Requirements:
 @dataclass(eq=False, slots=True, kw_only=True)
 class Kind:
     """Tasks that differ in name and home only; ``at``: the variable that counts them, by place; ``stays``:
-    those that count them at their homes.
+    the one that counts those of them that are at home there.
     """
 
     members: list[PlacementItem]
     at: dict[int, int] = field(default_factory=dict)
-    stays: list[int] = field(default_factory=list)
+    stays: dict[int, int] = field(default_factory=dict)
 
     @property
     def first(self) -> PlacementItem:
@@ -86,19 +90,24 @@ class Kind:
 
 @dataclass(slots=True, kw_only=True)
 class PlacementModel:
-    """A program, and what its variables mean. ``stays``: variables that count tasks at their homes."""
+    """A program, and what its variables mean.
+
+    ``stays``: variables that count tasks at their homes, with the cost of a move. ``apart``: of variables of
+    kinds that leave out the tasks at home, the variable that counts those.
+    """
 
     problem: PlacementProblem
     program: IntegerProgram
     kinds: list[Kind]
     stays: dict[int, float] = field(default_factory=dict)
+    apart: dict[int, int] = field(default_factory=dict)
     constant: float = 0.0
 
     def read_places(self, values: Sequence[float]) -> dict[str, int]:
         """The place of each placed task in a solution; tasks stay at their homes where they may."""
         places: dict[str, int] = {}
         for kind in self.kinds:
-            room = {place: round(values[variable]) for place, variable in kind.at.items()}
+            room = {place: round(self._read_count(values, variable)) for place, variable in kind.at.items()}
             away = []
             for item in kind.members:
                 if item.home is not None and room.get(item.home, 0) > 0:
@@ -111,13 +120,20 @@ class PlacementModel:
             places |= {item.name: place for item, place in zip(away, slots, strict=False)}
         return places
 
+    def _read_count(self, values: Sequence[float], variable: int) -> float:
+        apart = self.apart.get(variable)
+        return values[variable] + (0.0 if apart is None else values[apart])
+
     def start_from(self, places: Mapping[str, int]) -> None:
         """Let the solver begin with these places."""
+        start = self.program.start
         for kind in self.kinds:
-            found = Counter(places[item.name] for item in kind.members if item.name in places)
-            self.program.start |= {
-                variable: float(found.get(place, 0)) for place, variable in kind.at.items()
-            }
+            for place, variable in kind.at.items():
+                start[variable] = float(kind.count_at(place, places))
+            for place, stay in kind.stays.items():
+                start[stay] = float(sum(places.get(item.name) == place == item.home for item in kind.members))
+                if kind.at[place] in self.apart:
+                    start[kind.at[place]] -= start[stay]
 
 
 def list_kinds(problem: PlacementProblem) -> list[Kind]:
@@ -127,7 +143,10 @@ def list_kinds(problem: PlacementProblem) -> list[Kind]:
     kinds: dict[object, Kind] = {}
     for item in problem.items:
         apart = item.name if item.needs or item.near or item.name in related else None
-        shares = tuple((place, tuple(row.items())) for place, row in item.shares.items())
+        shares = tuple(
+            (place, tuple((column, round(share, _KIND_DIGITS)) for column, share in row.items()))
+            for place, row in item.shares.items()
+        )
         key = apart, shares, item.priority, item.move_cost, tuple(item.links), find_company(item.name)
         if key in kinds:
             kinds[key].members.append(item)
@@ -152,6 +171,7 @@ def _build_company_finder(problem: PlacementProblem) -> Callable[[str], object]:
             circle, others = limit.others | {name}, limit.others - {name}
             closed = circles[circle] > 1
             limits.append((limit.rule, closed, circle if closed else others))
-        return tuple(limits), rules.units.get(name), groups.get(name), name in problem.runs
+        group = groups.get(name)
+        return tuple(limits), rules.units.get(name), group, group is not None and name in problem.runs
 
     return find_company

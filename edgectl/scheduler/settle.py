@@ -126,7 +126,7 @@ def take_better(
 
 
 def _settle_changed(how: PlacementPass, plan: SettledPlan, changed: Mapping[str, Choice]) -> SettledPlan:
-    other = _change_choices(how, plan.outcome, changed)
+    other = change_choices(how, plan.outcome, changed)
     moves = collect_prior_moves(other, plan.prior_moves, how.initial)
     return _settle(how, state_from_pass(how.initial, other, how.initial), moves)
 
@@ -167,7 +167,7 @@ def build_decided_plan(how: PlacementPass, plan: SettledPlan) -> DecidedPlan:
     )
 
 
-def _change_choices(how: PlacementPass, outcome: PassResult, changed: Mapping[str, Choice]) -> PassResult:
+def change_choices(how: PlacementPass, outcome: PassResult, changed: Mapping[str, Choice]) -> PassResult:
     """``outcome`` with other choices for some tasks, and gamma in step with them."""
     ledger, placed = outcome.ledger.copy(), dict(outcome.placed)
     for name in changed:

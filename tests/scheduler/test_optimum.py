@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import product
+from math import inf
 from random import Random
 
 import pytest
@@ -25,7 +26,7 @@ from tests.scheduler.tight_fleets import TightFleet, build_full_fleet, build_ran
 OPTIMAL, REBALANCED = Policy(optimal=True), Policy(rebalance=True)
 
 
-def optimise(fleet: TightFleet, deadline_s: float = 20.0) -> Assignment:
+def optimise(fleet: TightFleet, deadline_s: float = inf) -> Assignment:
     solve = make_solver(deadline_s)
     policy = replace(fleet.policy, optimal=True)
     return assign(fleet.inventory, fleet.tasks, fleet.snapshot, fleet.memory, policy, NOW, solve)
