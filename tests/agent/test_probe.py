@@ -22,8 +22,15 @@ from tests.pace import patience
 
 # Addresses that nothing else on this machine uses, not even a parallel run of these tests.
 NET = f"127.{100 + os.getpid() // 250 % 100}.{os.getpid() % 250}"
-ROBOT = f"{NET}.21"
-LINKS = [{"robot": "robot1", "address": ROBOT}, {"robot": "robot2", "address": f"{NET}.22"}]
+
+
+def build_links(first: int) -> list[dict[str, str]]:
+    """Two links whose addresses end with ``first`` and the number after: files of tests may run at the same time."""
+    return [{"robot": f"robot{number}", "address": f"{NET}.{first + number - 1}"} for number in (1, 2)]
+
+
+LINKS = build_links(21)
+ROBOT = LINKS[0]["address"]
 
 
 @cache

@@ -19,7 +19,10 @@ from edgectl.agent.measure import proc, task
 from edgectl.agent.supervise import liveness, state_dir
 from edgectl.errors import RefusedError
 from tests.agent.conftest import AgentHost, eventually, is_running
-from tests.agent.test_probe import LINKS, ROBOT, connected, interpreters, sent
+from tests.agent.test_probe import build_links, connected, interpreters, sent
+
+LINKS = build_links(41)
+ROBOT = LINKS[0]["address"]
 
 MOST_BYTES = 20 << 20
 
@@ -189,7 +192,7 @@ def test_traffic_of_links_and_tasks_is_seen(profiled: Profiled) -> None:
     profiled.start(every=0.5, links=LINKS)
     over = threading.Event()
     program = f"import socket; s = socket.create_connection(('{ROBOT}', %d)); [s.sendall(bytes(10000)) for _ in iter(lambda: __import__('time').sleep(.05), 1)]"
-    with socket.create_server((ROBOT, 0)) as server, connected(f"{ROBOT[:-2]}22") as (near, far):
+    with socket.create_server((ROBOT, 0)) as server, connected(LINKS[1]["address"]) as (near, far):
         profiled.host.start("slam", f'exec {sys.executable} -c "{program % server.getsockname()[1]}"')
         peer, _ = server.accept()
 

@@ -10,11 +10,13 @@ import pytest
 
 from edgectl.agent.measure import udp
 from tests.agent.conftest import AgentHost, eventually
-from tests.agent.test_probe import LINKS, ROBOT, has_v6
+from tests.agent.test_probe import build_links, has_v6
 from tests.agent.test_profiler import Profiled
 from tests.agent.test_profiler import profiled as profiled
 
 UNSEEN = "udp unseen"
+LINKS = build_links(61)
+ROBOT = LINKS[0]["address"]
 # A port as DDS has them, below those that the kernel gives away.
 CHOSEN = 20000 + os.getpid() % 10000
 # A task that opens a socket, sends nothing, and stays.

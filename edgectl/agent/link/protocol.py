@@ -110,6 +110,7 @@ ENTRY_KEYS = (
     "rx_bytes_per_s",
     "tx_bytes_per_s",
     "links",
+    "partial",
     "metrics",
 )
 # Keys of an entry of ``other_tasks`` in the reply to OP_PROBE.
