@@ -21,7 +21,7 @@ check: setup
 
 # More workers than cores: most tests wait for real hosts, and each makes hosts of its own. A failed test is run
 # once more, alone, and named (docs/adr/0030-rerun-failed-tests-once.md).
-WORKERS ?= 8
+WORKERS ?= 6
 test: check
 	@.ci/need-faults
 	@.ci/need-promtool

@@ -291,9 +291,15 @@ class TopApp(App[None]):
             return
         reader, task = TextScreen(f"log of {line.task}", "loading ..", at_end=True), line.task
         self.push_screen(reader)
-        self._run_in_thread(
-            lambda: self.post_message(TextLoaded(reader, self._work.logs(task) or "nothing was printed"))
-        )
+
+        def load() -> None:
+            try:
+                text = self._work.logs(task) or "nothing was printed"
+            except EdgectlError as error:
+                text = error.message
+            self.post_message(TextLoaded(reader, text))
+
+        self._run_in_thread(load)
 
     def on_text_loaded(self, message: TextLoaded) -> None:
         """Show it, unless the screen was closed."""

@@ -146,7 +146,8 @@ def test_logs() -> None:
 def test_a_log_that_cannot_be_had_is_said() -> None:
     async def act(pilot: Pilot[None], view: TopApp) -> None:
         await pilot.press("tab", "l")
-        await until(pilot, view, "no answer from edge10")
+        await until(pilot, view, "loading", gone=True)
+        await until(pilot, view, "no answer from edge10", "Esc close")
 
     session(Bench(log=StateError("no answer from edge10")), act)
 
