@@ -2,11 +2,18 @@
 
 import posixpath
 import re
-import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 from edgectl.config.problems import Mark, ProblemCode
+from edgectl.importers.element_rules import (
+    CONDITIONS,
+    are_conditions_met,
+    build_unknown_element,
+    check_attribute_names,
+    check_root,
+    split_words,
+)
 from edgectl.importers.elements import Attribute, Element, parse_xml
 from edgectl.importers.fault import ImportFaultError, collect_fault
 from edgectl.importers.launch_values import (
@@ -25,7 +32,6 @@ from edgectl.importers.ros1_substitution import substitute_ros1
 from edgectl.importers.ros_parameters import flatten_parameters, parse_parameter_value, read_parameter_text
 from edgectl.names import format_name_list, suggest_name
 
-_CONDITIONS = ("if", "unless")
 # Element -> its attributes, those that must be given first.
 ATTRIBUTES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "launch": ((), ("deprecated",)),
@@ -94,9 +100,7 @@ class _Reader:
         return parse_xml(source, self.launch.problems) if source is not None else None
 
     def read_file(self, root: Element, scope: _Scope) -> None:
-        if root.tag != "launch":
-            message = f"the root element is {root.tag}, not launch"
-            self.launch.problems.add(root.mark, ProblemCode.ELEMENT, message, "name a launch file")
+        if not check_root(root, self.launch.problems):
             return
         with collect_fault(self.launch.problems):
             self.check_attributes(root)
@@ -120,28 +124,14 @@ class _Reader:
         for element in parent.children:
             with collect_fault(self.launch.problems):
                 if element.tag not in handlers:
-                    raise self.unknown_element(element, handlers)
+                    raise build_unknown_element(element, handlers)
                 self.check_attributes(element)
                 if self.is_wanted(element, scope):
                     handlers[element.tag](element, scope)
 
-    def unknown_element(self, element: Element, known: Mapping[str, object]) -> ImportFaultError:
-        match = suggest_name(element.tag, known)
-        hint = f"did you mean {match}?" if match else f"known are {', '.join(sorted(known))}"
-        return ImportFaultError(element.mark, ProblemCode.ELEMENT, f"unknown element {element.tag}", hint)
-
     def check_attributes(self, element: Element) -> None:
         needed, others = ATTRIBUTES[element.tag]
-        known = (*needed, *others, *_CONDITIONS)
-        for name, attribute in element.attributes.items():
-            if name not in known:
-                match = suggest_name(name, known)
-                raise ImportFaultError(
-                    attribute.mark,
-                    ProblemCode.ELEMENT,
-                    f"unknown attribute {name} of {element.tag}",
-                    f"did you mean {match}?" if match else f"known are {', '.join(known)}",
-                )
+        check_attribute_names(element, (*needed, *others, *CONDITIONS))
         for name in needed:
             if not element.attributes.get(name, Attribute(text="", mark=element.mark)).text.strip():
                 message = f"{element.tag} needs {name}"
@@ -169,11 +159,7 @@ class _Reader:
         return _BOOLEANS[value]
 
     def is_wanted(self, element: Element, scope: _Scope) -> bool:
-        if all(name in element.attributes for name in _CONDITIONS):
-            message = "if and unless exclude each other"
-            raise ImportFaultError(element.mark, ProblemCode.CONTRADICTION, message, "remove one of the two")
-        unless = self.boolean(element, "unless", scope)
-        return self.boolean(element, "if", scope) is not False and unless is not True
+        return are_conditions_met(element, lambda name: self.boolean(element, name, scope))
 
     def graph_name(self, element: Element, name: str, scope: _Scope) -> str:
         value = self.text(element, name, scope)
@@ -265,7 +251,7 @@ class _Reader:
         stated = {}
         for child in element.children:
             if child.tag not in ("arg", "env"):
-                raise self.unknown_element(child, {"arg": 0, "env": 0})
+                raise build_unknown_element(child, ("arg", "env"))
             self.check_attributes(child)
             if not self.is_wanted(child, scope):
                 continue
@@ -367,14 +353,7 @@ class _Reader:
                 raise ImportFaultError(node.mark, ProblemCode.TAKEN, message, "rename one of the two")
 
     def words(self, element: Element, name: str, scope: _Scope) -> tuple[str, ...]:
-        """The arguments of a program, split as by a shell."""
-        try:
-            return tuple(shlex.split(self.text(element, name, scope)))
-        except ValueError as error:
-            mark = element.attributes[name].mark
-            raise ImportFaultError(
-                mark, ProblemCode.TEXT, f"a quote in {name} is not closed", "close it"
-            ) from error
+        return split_words(element, name, self.text(element, name, scope))
 
     def find_machine(self, element: Element, scope: _Scope) -> str:
         name = self.text(element, "machine", scope)
@@ -392,7 +371,7 @@ class _Reader:
     def read_node_children(self, element: Element, inner: _Scope, node: RosNode) -> None:
         for child in element.children:
             if child.tag not in _CHILDREN_OF_NODE:
-                raise self.unknown_element(child, dict.fromkeys(_CHILDREN_OF_NODE))
+                raise build_unknown_element(child, _CHILDREN_OF_NODE)
             self.check_attributes(child)
             if not self.is_wanted(child, inner):
                 continue

@@ -1,13 +1,20 @@
 """Reader of ROS 2 launch files in XML and YAML: what ``ros2 launch`` would start. Nothing is run."""
 
 import posixpath
-import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from edgectl.config.problems import Mark, ProblemCode, Source
 from edgectl.config.yaml_parser import parse_yaml
+from edgectl.importers.element_rules import (
+    CONDITIONS,
+    are_conditions_met,
+    build_unknown_element,
+    check_attribute_names,
+    check_root,
+    split_words,
+)
 from edgectl.importers.elements import Attribute, Element, build_yaml_elements, parse_xml
 from edgectl.importers.fault import ImportFaultError, collect_fault
 from edgectl.importers.launch_values import (
@@ -24,7 +31,6 @@ from edgectl.importers.ros2_substitution import read_boolean, substitute_ros2
 from edgectl.importers.ros_parameters import parse_yaml_scalar, read_parameter_node
 from edgectl.names import format_name_list, suggest_name
 
-_COMMON = ("if", "unless")
 _PROCESS = ("cwd", "emulate_tty", "launch-prefix", "output", "output_format", "respawn", "respawn_delay",
             "respawn_max_retries", "shell", "sigkill_timeout", "sigterm_timeout")  # fmt: skip
 _NODE = ("name", "namespace", "args", "ros_args", "exec_name", "output", *_PROCESS)
@@ -145,11 +151,8 @@ class _Ros2Reader:
         return build_yaml_elements(node, self.launch.problems) if node is not None else None
 
     def read_file(self, root: Element, scope: Ros2Scope) -> None:
-        if root.tag != "launch":
-            message = f"the root element is {root.tag}, not launch"
-            self.launch.problems.add(root.mark, ProblemCode.ELEMENT, message, "name a launch file")
-            return
-        self.read_children(root, scope)
+        if check_root(root, self.launch.problems):
+            self.read_children(root, scope)
 
     def read_children(self, parent: Element, scope: Ros2Scope) -> None:
         for element in parent.children:
@@ -159,27 +162,16 @@ class _Ros2Reader:
                     self.launch.note(element.mark, f"{element.tag} is not imported")
                     continue
                 if tag not in self.handlers:
-                    raise self.unknown_element(element, (*self.handlers, *_DROPPED))
+                    raise build_unknown_element(element, (*self.handlers, *_DROPPED))
                 self.check_attributes(element, tag)
                 if self.is_wanted(element, scope):
                     self.handlers[tag](element, scope)
-
-    def unknown_element(self, element: Element, known: Sequence[str]) -> ImportFaultError:
-        match = suggest_name(element.tag, known)
-        hint = f"did you mean {match}?" if match else f"known are {', '.join(sorted(known))}"
-        return ImportFaultError(element.mark, ProblemCode.ELEMENT, f"unknown element {element.tag}", hint)
 
     def check_attributes(self, element: Element, tag: str) -> None:
         if tag not in ATTRIBUTES:
             return
         needed, others = ATTRIBUTES[tag]
-        known = (*needed, *others, *_COMMON)
-        for name, attribute in element.attributes.items():
-            if name not in known:
-                match = suggest_name(name, known)
-                hint = f"did you mean {match}?" if match else f"known are {', '.join(known)}"
-                message = f"unknown attribute {name} of {element.tag}"
-                raise ImportFaultError(attribute.mark, ProblemCode.ELEMENT, message, hint)
+        check_attribute_names(element, (*needed, *others, *CONDITIONS))
         for name in needed:
             if name not in element.attributes:
                 message = f"{element.tag} needs {name}"
@@ -207,11 +199,7 @@ class _Ros2Reader:
         return read_boolean(self.text(element, name, scope), name, element.attributes[name].mark)
 
     def is_wanted(self, element: Element, scope: Ros2Scope) -> bool:
-        if all(name in element.attributes for name in _COMMON):
-            message = "if and unless exclude each other"
-            raise ImportFaultError(element.mark, ProblemCode.CONTRADICTION, message, "remove one of the two")
-        unless = self.boolean(element, "unless", scope)
-        return self.boolean(element, "if", scope) is not False and unless is not True
+        return are_conditions_met(element, lambda name: self.boolean(element, name, scope))
 
     def read_arg(self, element: Element, scope: Ros2Scope) -> None:
         name = self.text(element, "name", scope)
@@ -285,7 +273,7 @@ class _Ros2Reader:
             )
         for child in element.children:
             if child.tag not in ("arg", "let"):
-                raise self.unknown_element(child, ("arg", "let"))
+                raise build_unknown_element(child, ("arg", "let"))
             if not {"name", "value"} <= child.attributes.keys():
                 message = f"{child.tag} of this include needs name and value"
                 raise ImportFaultError(child.mark, ProblemCode.MISSING, message, "add both")
@@ -328,7 +316,7 @@ class _Ros2Reader:
             if child.tag == "composable_node":
                 self.drop_component(child)
                 return
-            raise self.unknown_element(child, known)
+            raise build_unknown_element(child, known)
         self.check_attributes(child, child.tag)
         if not self.is_wanted(child, scope):
             return
@@ -398,7 +386,7 @@ class _Ros2Reader:
         env = dict(scope.env)
         for child in element.children:
             if child.tag != "env":
-                raise self.unknown_element(child, ("env",))
+                raise build_unknown_element(child, ("env",))
             self.check_attributes(child, "env")
             env[self.text(child, "name", scope)] = self.text(child, "value", scope)
         self.launch.add_node(
@@ -435,10 +423,4 @@ class _Ros2Reader:
         self.read_node(element, scope)
 
     def words(self, element: Element, name: str, scope: Ros2Scope) -> tuple[str, ...]:
-        try:
-            return tuple(shlex.split(self.text(element, name, scope)))
-        except ValueError as error:
-            mark = element.attributes[name].mark
-            raise ImportFaultError(
-                mark, ProblemCode.TEXT, f"a quote in {name} is not closed", "close it"
-            ) from error
+        return split_words(element, name, self.text(element, name, scope))

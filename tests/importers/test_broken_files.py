@@ -1,7 +1,7 @@
 """Broken launch files, inventories and requirement files: each message names file, line and what to do."""
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -52,16 +52,8 @@ def ros1(
 def ros2(
     name: str, body: str, message: str, hint: str, *, line: int = 2, at: str = "", arguments: str = ""
 ) -> Broken:
-    return Broken(
-        name=name,
-        text=f"<launch>\n{body}\n</launch>\n",
-        line=line,
-        message=message,
-        hint=hint,
-        at=at,
-        file="bad.launch.xml",
-        arguments=arguments,
-    )
+    broken = ros1(name, body, message, hint, line=line, at=at, arguments=arguments)
+    return replace(broken, file="bad.launch.xml")
 
 
 def python(name: str, body: str, message: str, hint: str = "", *, line: int = 1) -> Broken:
@@ -96,6 +88,8 @@ CASES = [
     Broken(name="not a launch file", text="<package>\n  <name>x</name>\n</package>\n", line=1, message="the root element is package", hint="name a launch file"),
     Broken(name="empty file", text="<launch/>\n", line=1, message="the file starts nothing", hint="check the conditions"),
     # ROS 1
+    ros1("unknown element in a node", '  <node pkg="a" type="b" name="c"><parm name="x"/></node>', "unknown element parm", "did you mean param?", at="<parm"),
+    ros1("unknown element in an include", '  <include file="x.launch"><ars name="x"/></include>', "unknown element ars", "did you mean arg?", at="<ars"),
     ros1("unknown element", "  <noed/>", "unknown element noed", "did you mean node?", at="<noed"),
     ros1("unknown attribute", '  <node pkg="a" type="b" name="c" respwan="true"/>', "unknown attribute respwan of node", "did you mean respawn?", at='true"'),
     ros1("no type", '  <node pkg="a" name="c"/>', "node needs type", 'add type=".."', at="<node"),
