@@ -67,7 +67,16 @@ ALLOWED = {
 }
 # The one module of the agent that both sides read, and the rooms that read it.
 PROTOCOL = "edgectl.agent.link.protocol"
-PROTOCOL_READERS = {"model", "config", "transport", "gateway", "executor", "usecases", "experiments"}
+PROTOCOL_READERS = {
+    "model",
+    "config",
+    "transport",
+    "gateway",
+    "executor",
+    "usecases",
+    "export",
+    "experiments",
+}
 # third-party package -> the only modules that may import it
 OWNERS: dict[str, str | tuple[str, ...]] = {
     "typer": ("cli", "experiments/commands"),

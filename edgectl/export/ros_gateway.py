@@ -17,6 +17,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from io import FileIO
 from pathlib import Path
 
+from edgectl.agent.link.protocol import build_sourced_argv
 from edgectl.errors import EdgectlError, FileError, RosGraphError
 from edgectl.formats.document import Document
 from edgectl.model.ros import HOST_ADDRESS, RosSettings
@@ -25,13 +26,6 @@ STATUS_TOPIC = "/edgectl/status"
 # How long a node may take to be there, its master to answer, one line to be read, and a goodbye.
 _READY_S, _MASTER_S, _SEND_S, _END_S = 40.0, 10.0, 10.0, 5.0
 _ADDRESS_VARIABLES = ("ROS_IP", "ROS_HOSTNAME")
-# The words after it are the files, then the command: it has no text of the user, and set-up files of ROS 1
-# would take its arguments for options of theirs.
-_SOURCE_FILES = """count=$1; shift
-files=("${@:1:count}"); shift "$count"; command=("$@"); set --
-for file in "${files[@]}"; do . "$file"; done
-exec "${command[@]}"
-"""
 
 
 class RosNode:
@@ -169,7 +163,7 @@ def build_node_argv(setup: Sequence[str], asked: Document) -> list[str]:
     """The command of the node; only bash can source set-up files."""
     program = Path(__file__).with_name("ros_node.py").read_text(encoding="utf-8")
     command = ["python3", "-c", program, json.dumps(asked)]
-    return ["bash", "-c", _SOURCE_FILES, "edgectl", str(len(setup)), *setup, *command] if setup else command
+    return build_sourced_argv(list(setup), command) if setup else command
 
 
 def build_node_environment(ros: RosSettings | None, peers: Sequence[str]) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Protocol between manager and agent: operations, keys, states, limits and name rules.
+"""Protocol between manager and agent: operations, keys, states, limits, name rules; what both sides run.
 
 Valid for Python 3.6, without imports: the agent loads it on the host, the manager loads the same file.
 """
@@ -221,3 +221,21 @@ def is_name(text: object) -> bool:
 def is_metric_name(text: str) -> bool:
     """Whether ``text`` matches METRIC_NAME_PATTERN."""
     return 0 < len(text) <= MAX_NAME_LENGTH and text[0] in _METRIC_FIRST and _METRIC_LETTERS.issuperset(text)
+
+
+# Sources the files of its arguments, then becomes the rest of them. It has no text of the user, and what it
+# sources sees no arguments: set-up files of ROS 1 take theirs for options.
+_SOURCE_FILES = """_edgectl_count=$1; shift
+_edgectl_files=("${@:1:_edgectl_count}"); shift "$_edgectl_count"; _edgectl_command=("$@"); set --
+for _edgectl_file in "${_edgectl_files[@]}"; do
+  case $_edgectl_file in "~/"*) _edgectl_file=$HOME/${_edgectl_file:2};; esac
+  [ -r "$_edgectl_file" ] || { echo "edgectl: set-up file $_edgectl_file cannot be read" >&2; exit 126; }
+  . "$_edgectl_file"
+done
+exec "${_edgectl_command[@]}"
+"""
+
+
+def build_sourced_argv(setup: "list[str]", argv: "list[str]") -> "list[str]":
+    """Build the argument vector that sources the files and becomes ``argv``; only bash can source them."""
+    return ["/bin/bash", "-c", _SOURCE_FILES, "edgectl", str(len(setup)), *setup, *argv]

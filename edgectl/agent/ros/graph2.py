@@ -161,7 +161,7 @@ def _start_helper(env: "Mapping[str, str]", setup: "list[str]", name: str, progr
         os.dup2(source, 0)
         spawn.close_other_fds({0, 1, 2})
         clean = {key: text for key, text in shell.build_environment(env).items() if key[:8] != "EDGECTL_"}
-        argv = shell.build_sourced_argv(setup, ["python3", "-", name])
+        argv = protocol.build_sourced_argv(setup, ["python3", "-", name])
         try:
             os.execve(argv[0], argv, clean)  # noqa: S606 - the program is a constant
         finally:

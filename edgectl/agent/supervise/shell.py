@@ -8,6 +8,7 @@ import os
 import time
 
 from ..link.fast_json import Document
+from ..link.protocol import build_sourced_argv
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -25,19 +26,6 @@ _DROPPED_VARIABLES = (
 )
 
 
-# Sources the files of its arguments, then becomes the rest of them. It has no text of the user, and what it
-# sources sees no arguments: set-up files of ROS 1 take theirs for options.
-_SOURCE_FILES = """_edgectl_count=$1; shift
-_edgectl_files=("${@:1:_edgectl_count}"); shift "$_edgectl_count"; _edgectl_command=("$@"); set --
-for _edgectl_file in "${_edgectl_files[@]}"; do
-  case $_edgectl_file in "~/"*) _edgectl_file=$HOME/${_edgectl_file:2};; esac
-  [ -r "$_edgectl_file" ] || { echo "edgectl: set-up file $_edgectl_file cannot be read" >&2; exit 126; }
-  . "$_edgectl_file"
-done
-exec "${_edgectl_command[@]}"
-"""
-
-
 def build_argv(command: str, prelude: str, setup: "Sequence[str]" = ()) -> "list[str]":
     """Build the argument vector that runs ``prelude`` and then ``command`` in one shell.
 
@@ -45,12 +33,7 @@ def build_argv(command: str, prelude: str, setup: "Sequence[str]" = ()) -> "list
     """
     shell = "/bin/bash" if os.access("/bin/bash", os.X_OK) else "/bin/sh"
     argv = [shell, "-c", prelude + "\n" + command if prelude else command]
-    return build_sourced_argv(setup, argv) if setup else argv
-
-
-def build_sourced_argv(setup: "Sequence[str]", argv: "list[str]") -> "list[str]":
-    """Build the argument vector that sources the files and becomes ``argv``; only bash can source them."""
-    return ["/bin/bash", "-c", _SOURCE_FILES, "edgectl", str(len(setup)), *setup, *argv]
+    return build_sourced_argv(list(setup), argv) if setup else argv
 
 
 def build_environment(extra: "Mapping[str, object] | None") -> "dict[str, str]":
