@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 
 _POLL_S, _SERVICE_S = 0.02, 2.0
 _MOST_BYTES = 1 << 16
-# How long a name that is asked for the first time may take to be discovered.
-_DISCOVERY_S = 1.0
+# How long a name that is asked for the first time may take to be discovered, and how long after its own start
+# the helper may not know names that have long been there: on a busy host discovery takes seconds.
+_DISCOVERY_S, _SETTLE_S = 1.0, 5.0
 
 
 class Graph:
@@ -31,6 +32,7 @@ class Graph:
         self.rclpy.init(args=[])
         self.node = self.rclpy.create_node("edgectl_%d" % os.getpid(), enable_rosout=False)
         self.clients: "dict[str, Any]" = {}
+        self.settled_at = time.monotonic() + _SETTLE_S
         executors: "Any" = importlib.import_module("rclpy.executors")
         executor = executors.SingleThreadedExecutor()
         executor.add_node(self.node)
@@ -38,7 +40,7 @@ class Graph:
 
     def find_fault(self, asked: "dict[str, Any]") -> str:
         """Find the first condition that does not hold; empty where all do."""
-        if asked.get("node") and not _wait_for(lambda: asked["node"] in self._list_nodes(), _DISCOVERY_S):
+        if asked.get("node") and not self._discover(lambda: asked["node"] in self._list_nodes()):
             return "node %s is not in the graph" % asked["node"]
         if asked.get("lifecycle"):
             state = self._read_lifecycle(asked["node"])
@@ -48,9 +50,12 @@ class Graph:
             return "no message on %s within %g s" % (asked["topic"]["name"], asked["topic"]["within_s"])
         if asked.get("service"):
             wanted = asked["service"]
-            if not _wait_for(lambda: wanted in dict(self.node.get_service_names_and_types()), _DISCOVERY_S):
+            if not self._discover(lambda: wanted in dict(self.node.get_service_names_and_types())):
                 return "service %s is not offered" % wanted
         return ""
+
+    def _discover(self, condition: "Any") -> bool:
+        return _wait_for(condition, max(_DISCOVERY_S, self.settled_at - time.monotonic()))
 
     def _list_nodes(self) -> "set[str]":
         return {space.rstrip("/") + "/" + name for name, space in self.node.get_node_names_and_namespaces()}
@@ -69,9 +74,9 @@ class Graph:
 
     def _hear(self, topic: str, within_s: float) -> bool:
         """Whether a message comes; of any publisher, whatever its quality of service."""
-        until = time.monotonic() + within_s + _DISCOVERY_S
-        if not _wait_for(lambda: topic in dict(self.node.get_topic_names_and_types()), _DISCOVERY_S):
+        if not self._discover(lambda: topic in dict(self.node.get_topic_names_and_types())):
             return False
+        until = time.monotonic() + within_s + _DISCOVERY_S
         package, _, name = dict(self.node.get_topic_names_and_types())[topic][0].partition("/msg/")
         qos: "Any" = importlib.import_module("rclpy.qos")
         profile = qos.QoSProfile(depth=1, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
