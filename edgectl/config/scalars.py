@@ -12,7 +12,7 @@ from edgectl.config.node import Node, describe_node_type
 from edgectl.config.problems import Mark, ProblemCode, Problems
 from edgectl.config.quantities import suggest_quantity
 from edgectl.config.schema import describe_as, describe_reader, get_reader_schema, limit_quantity_schema
-from edgectl.units import QuantityError
+from edgectl.units import QuantityError, parse_duration
 
 INVALID: Final = object()
 NodeReader = Callable[[Node, Problems], Any]
@@ -265,3 +265,7 @@ def quantity_reader(
     return describe_reader(
         read, lambda: limit_quantity_schema(get_reader_schema(parse), above_zero=above_zero, at_most=at_most)
     )
+
+
+# A time above zero.
+read_duration = quantity_reader(parse_duration, above_zero=True)

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from edgectl.config.check_readers import check_reader, read_alive
 from edgectl.config.demand_readers import read_demand
 from edgectl.config.fields import (
     Fields,
@@ -25,6 +26,7 @@ from edgectl.config.scalars import (
     enum_reader,
     quantity_reader,
     read_bool,
+    read_duration,
     read_name,
     read_text,
     read_version,
@@ -41,10 +43,7 @@ from edgectl.config.task_readers import (
     HANDOFF_KEYS,
     LOG_KEYS,
     TASK_LIMITS_KEYS,
-    check_reader,
-    read_alive,
     read_command,
-    read_duration,
     read_for_each,
     read_host_rules,
     read_max_moves,

@@ -9,7 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.config import coordination, demand_readers, inventory_file, ros_settings, task_file, task_readers
+from edgectl.config import (
+    check_readers,
+    coordination,
+    demand_readers,
+    inventory_file,
+    ros_settings,
+    task_file,
+    task_readers,
+)
 from edgectl.config import fields as config_fields
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.config.problems import ProblemCode
@@ -40,8 +48,8 @@ TABLES: Mapping[str, tuple[Mapping[str, object], ...]] = {
     "### Demand": (demand_readers.DEMAND_KEYS,),
     "### Needs": (task_readers.NEED_KEYS,),
     "### Hosts of a task": (task_readers.HOST_RULES_KEYS,),
-    "### Checks": (task_readers.CHECK_KEYS,),
-    "### Liveness": (task_readers.ALIVE_KEYS,),
+    "### Checks": (check_readers.CHECK_KEYS,),
+    "### Liveness": (check_readers.ALIVE_KEYS,),
     "### Detect": (task_readers.DETECT_KEYS,),
     "### Stop": (task_readers.STOP_KEYS,),
     "### Secrets": (config_fields.SECRET_KEYS,),
