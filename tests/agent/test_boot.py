@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 import edgectl
-from edgectl.agent.link import boot
+from edgectl.agent.link import boot, stub
 from edgectl.transport import agent_client as protocol
 from edgectl.transport.base import Reply
 from tests.agent.conftest import AgentHost
@@ -145,13 +145,18 @@ def find_code(host: AgentHost, operation: str = "status") -> Path:
     return found
 
 
+def read_code(host: AgentHost, operation: str) -> dict[str, object]:
+    """The modules in the compiled code of an operation."""
+    return dict(marshal.loads(find_code(host, operation).read_bytes()[stub.SEAL_BYTES :]))
+
+
 def test_compiled_code_is_kept_privately(host: AgentHost) -> None:
     host.ask("status", task=None)
     host.ask("probe", window_s=0.0)
     kept_code = list((host.state / "agent" / protocol.compute_agent_hash()).rglob("*.*"))
     assert {path.name.split(".")[0] for path in kept_code} == {"status", "probe"}
     assert {stat.S_IMODE(path.stat().st_mode) for path in kept_code} == {0o600}
-    modules = marshal.loads(find_code(host).read_bytes()[64:])
+    modules = read_code(host, "status")
     assert "edgectl_agent.supervise.status" in modules
     assert "edgectl_agent.supervise.supervisor" not in modules, "an operation loads only what it needs"
 
@@ -173,18 +178,18 @@ def test_nothing_is_compiled_twice(host: AgentHost) -> None:
     assert (after.st_ino, after.st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
 
 
-@pytest.mark.parametrize("forged", [b"", b"0" * 64])
+@pytest.mark.parametrize("forged", [b"", b"0" * stub.SEAL_BYTES])
 def test_compiled_code_of_a_task_does_not_run(host: AgentHost, forged: bytes) -> None:
     """A task of the same login writes its own code where the compiled agent is kept."""
     host.ask("status", task=None)
     planted = find_code(host)
     proof = host.state / "proof"
     code = compile(f"open({str(proof)!r}, 'w').write('ran')", "boot.py", "exec")
-    modules = marshal.loads(planted.read_bytes()[64:])
+    modules = read_code(host, "status")
     planted.write_bytes(forged + marshal.dumps({**modules, "edgectl_agent.link.boot": code}))
     assert host.ask("status", task=None)["tasks"] == {}
     assert not proof.exists()
-    assert marshal.loads(planted.read_bytes()[64:]).keys() == modules.keys(), "compiled and sealed again"
+    assert read_code(host, "status").keys() == modules.keys(), "compiled and sealed again"
 
 
 def test_code_of_one_operation_is_not_that_of_another(host: AgentHost) -> None:
@@ -194,32 +199,42 @@ def test_code_of_one_operation_is_not_that_of_another(host: AgentHost) -> None:
     stolen = find_code(host, "probe")
     stolen.write_bytes(find_code(host).read_bytes())
     host.ask("probe", window_s=0.0)
-    assert "edgectl_agent.measure.probe" in marshal.loads(stolen.read_bytes()[64:])
+    assert "edgectl_agent.measure.probe" in read_code(host, "probe")
 
 
 def test_code_grows_by_what_later_requests_load(host: AgentHost) -> None:
     host.ask("check", command="true", prelude="", env={}, timeout_s=5.0)
-    modules = marshal.loads(find_code(host, "check").read_bytes()[64:])
+    modules = read_code(host, "check")
     modules.pop("edgectl_agent.supervise.shell")
     code = marshal.dumps(modules)
-    content = hashlib.sha256(find_code(host, "check").name.encode() + b"\0" + code).hexdigest()
-    seal = hashlib.sha256(f"{protocol._PROCESS_KEY} {content}".encode()).hexdigest()
-    find_code(host, "check").write_bytes(seal.encode() + code)
+    name = find_code(host, "check").name.encode()
+    find_code(host, "check").write_bytes(stub.compute_seal(protocol._PROCESS_KEY.encode(), name, code) + code)
     host.ask("check", command="true", prelude="", env={}, timeout_s=5.0)
-    assert "edgectl_agent.supervise.shell" in marshal.loads(find_code(host, "check").read_bytes()[64:])
+    assert "edgectl_agent.supervise.shell" in read_code(host, "check")
+
+
+@pytest.mark.parametrize("module", ["_blake2", "none"])
+def test_seal_depends_on_key_name_and_code(monkeypatch: pytest.MonkeyPatch, module: str) -> None:
+    """Also where BLAKE2 is missing, or forbidden."""
+    monkeypatch.setitem(sys.modules, module, None)
+    words = [(b"k" * 32, b"n", b"code"), (b"K" * 32, b"n", b"code"), (b"k" * 32, b"m", b"code")]
+    seals = [stub.compute_seal(*each) for each in [*words, (b"k" * 32, b"n", b"cord")]]
+    assert {len(seal) for seal in seals} == {stub.SEAL_BYTES}
+    assert len(set(seals)) == 4
+    assert stub.compute_seal(b"k" * 32, b"n", memoryview(b"code")) == seals[0]
 
 
 def test_another_manager_does_not_trust_what_this_one_compiled(host: AgentHost) -> None:
     host.ask("status", task=None)
     mine = find_code(host)
-    seal = mine.read_bytes()[:64]
+    seal = mine.read_bytes()[: stub.SEAL_BYTES]
     protocol.use_cache_key(host.fleet, "0" * 32)
     try:
         host.ask("status", task=None)
     finally:
         protocol._CACHE_KEYS.clear()
     (theirs,) = {*(host.state / "agent").rglob("status.*.code")} - {mine}
-    assert theirs.read_bytes()[:64] != seal == mine.read_bytes()[:64]
+    assert theirs.read_bytes()[: stub.SEAL_BYTES] != seal == mine.read_bytes()[: stub.SEAL_BYTES]
 
 
 def test_agents_of_old_versions_are_removed(host: AgentHost) -> None:

@@ -19,13 +19,13 @@ try:
 except ImportError:
     from importlib.machinery import ModuleSpec
 try:
-    # Module hashlib loads OpenSSL: another 4 ms. The bare module is _sha2 since Python 3.12, _sha256 before.
-    from _sha2 import sha256 as _new_sha256
-except ImportError:
-    try:
+    # Module hashlib loads OpenSSL: another 4 ms.
+    if sys.version_info >= (3, 12):
+        from _sha2 import sha256 as _new_sha256
+    else:
         from _sha256 import sha256 as _new_sha256
-    except ImportError:
-        from hashlib import sha256 as _new_sha256
+except ImportError:
+    from hashlib import sha256 as _new_sha256
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -94,45 +94,49 @@ def check_private_dir(path: str) -> None:
         os.chmod(path, 0o700)
 
 
-def read_cached_agent(bases: "List[str]", sha: str, bundle: "Bundle") -> "Tuple[Optional[str], bytes]":
-    """Read (directory, bytes) of the agent cached under its hash.
+def find_cached_agent(bases: "List[str]", sha: str, bundle: "Bundle") -> "Optional[str]":
+    """Find the directory of the agent cached under its hash; None where it is missing or was changed.
 
-    (None, b"") where it is missing or was changed. The hash is not computed where ``bundle`` knows the
-    present fingerprint of the file: a change of the file changes a time in its inode, which no user can set.
-    An old fingerprint is removed.
+    It is not read where ``bundle`` knows the present fingerprint of the file: a change of the file changes a
+    time in its inode, which no user can set. An old fingerprint is removed.
     """
     for base in bases:
         folder = os.path.join(base, "agent")
+        path = os.path.join(folder, sha + ".pyz")
         try:
             check_private_dir(base)
             check_private_dir(folder)
-            agent, fingerprint = read_file(os.path.join(folder, sha + ".pyz"))
+            if take_fingerprint(os.lstat(path)) == bundle.get(FINGERPRINT):
+                return folder
+            bundle.pop(FINGERPRINT, None)
+            if compute_sha256(read_file(path)[0]) == sha:
+                return folder
         except OSError:
             continue
-        if fingerprint == bundle.get(FINGERPRINT):
-            return folder, agent
-        bundle.pop(FINGERPRINT, None)
-        if compute_sha256(agent) == sha:
-            return folder, agent
-    return None, b""
+    return None
+
+
+def take_fingerprint(info: os.stat_result) -> "Fingerprint":
+    """Take from the state of a file what changes with its content."""
+    return info.st_ino, info.st_size, info.st_mtime_ns, info.st_ctime_ns
 
 
 def read_file(path: str) -> "Tuple[bytes, Fingerprint]":
     """Read a file that is no link. Raises OSError."""
     fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
-    with open(fd, "rb") as file:
-        info = os.fstat(fd)
-        return file.read(), (info.st_ino, info.st_size, info.st_mtime_ns, info.st_ctime_ns)
+    with open(fd, "rb", 0) as file:
+        return file.read(), take_fingerprint(os.fstat(fd))
 
 
 class AgentImporter:
     """Finder and loader of the agent's modules for ``sys.meta_path``.
 
-    ``bundle`` grows by what is compiled from ``agent``, whose hash was or will be checked.
+    ``bundle`` grows by what is compiled from the agent: the bytes that were sent, else the file in
+    ``folder``, read when it is needed. Its hash is checked before.
     """
 
-    def __init__(self, sha: str, key: str, agent: bytes, bundle: "Bundle") -> None:
-        self.sha, self.key, self.agent, self.bundle = sha, key, agent, bundle
+    def __init__(self, sha: str, key: str, folder: "Optional[str]", agent: bytes, bundle: "Bundle") -> None:
+        self.sha, self.key, self.folder, self.agent, self.bundle = sha, key, folder, agent, bundle
         # Code that other operations have compiled.
         self.spare: "Bundle" = {}
         self.sources: "Dict[str, bytes]" = {}
@@ -162,6 +166,8 @@ class AgentImporter:
     def read_sources(self) -> "Dict[str, bytes]":
         """Read file name -> source of the agent. ImportError where its hash is another."""
         if not self.sources:
+            if self.folder and not self.agent:
+                self.agent = read_file(os.path.join(self.folder, self.sha + ".pyz"))[0]
             if compute_sha256(self.agent) != self.sha:
                 raise ImportError("the agent is damaged on this host")
             self.sources = read_archive(self.agent)
@@ -206,20 +212,16 @@ def boot_agent(stdin: "BinaryIO", words: "List[str]", bases: "List[str]", bundle
     # The manager's deadline ends this side too: nothing lingers after it has given up.
     signal.setitimer(signal.ITIMER_REAL, float(timeout))
     request, agent = stdin.read(int(request_length)), stdin.read(int(agent_length))
-    if agent:
-        folder, sent, valid = None, True, compute_sha256(agent) == sha
-    else:
-        folder, agent = read_cached_agent(bases, sha, bundle)
-        sent, valid = False, bool(agent)
-    if not valid:
+    folder = None if agent else find_cached_agent(bases, sha, bundle)
+    if folder is None and compute_sha256(agent) != sha:
         return channel.reply(('{%s, "missing": true}' % version).encode())
-    importer = AgentImporter(sha, key, agent, bundle)
+    importer = AgentImporter(sha, key, folder, agent, bundle)
     sys.meta_path.insert(0, importer)
     sys.modules[PACKAGE + ".link.boot"] = sys.modules[__name__]
     known = len(bundle) if FINGERPRINT in bundle else 0
-    if sent or not bundle:
-        folder = importer.load("link.cache").prepare_cache(importer, bases, folder, sent=sent)
+    if agent or not bundle:
+        importer.load("link.cache").prepare_cache(importer, bases)
     importer.load("link.main").serve_request(request, channel, bases)
-    if folder and len(bundle) != known:
-        importer.load("link.cache").write_bundle(importer, folder, operation)
+    if importer.folder and len(bundle) != known:
+        importer.load("link.cache").write_bundle(importer, operation)
     return None

@@ -2,33 +2,28 @@
 
 import marshal
 import os
-import sys
 
-from .boot import FINGERPRINT, PACKAGE, AgentImporter, compute_sha256, make_private_dir, read_file
+from .boot import FINGERPRINT, PACKAGE, AgentImporter, make_private_dir, read_file
+from .stub import SEAL_BYTES, compute_seal, name_code
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import List, Optional
+    from typing import List
 
     from .boot import Bundle
 
-BOOT = PACKAGE + ".link.boot"
-# Hexadecimal digits of a seal.
-_SEAL_LENGTH = 64
+BOOT, STUB = PACKAGE + ".link.boot", PACKAGE + ".link.stub"
 _AGENT_KEPT_S = 30 * 86400
 
 
-def prepare_cache(
-    importer: AgentImporter, bases: "List[str]", folder: "Optional[str]", *, sent: bool
-) -> "Optional[str]":
-    """Keep an agent that was ``sent``, and find the code that other operations have compiled.
-
-    Returns the directory of the agent, or None where nothing can be written.
+def prepare_cache(importer: AgentImporter, bases: "List[str]") -> None:
+    """Keep an agent that was sent, where it can be written, and find the code that other operations have
+    compiled.
     """
-    if sent:
-        folder = _cache_agent(bases, importer.sha, importer.agent)
-    if folder is not None:
-        codes, suffix = os.path.split(_find_code_path(importer, folder, ""))
+    if importer.folder is None:
+        importer.folder = _cache_agent(bases, importer.sha, importer.agent)
+    if importer.folder is not None:
+        codes, suffix = os.path.split(_find_code_path(importer, importer.folder, ""))
         try:
             names = os.listdir(codes)
         except OSError:
@@ -36,15 +31,15 @@ def prepare_cache(
         for name in names:
             if name.endswith(suffix):
                 importer.spare.update(_read_bundle(importer, os.path.join(codes, name)))
-    return folder
 
 
-def write_bundle(importer: AgentImporter, folder: str, operation: str) -> None:
+def write_bundle(importer: AgentImporter, operation: str) -> None:
     """Keep the code of this request for the next one of its operation, where it can be written.
 
     Each file begins with a seal by the manager's key, which is on no disk of this host: a task of the same
     login can write there, and no code of its own runs.
     """
+    folder = str(importer.folder)
     path = _find_code_path(importer, folder, operation)
     partial = "%s.%d" % (path, os.getpid())
     try:
@@ -57,23 +52,19 @@ def write_bundle(importer: AgentImporter, folder: str, operation: str) -> None:
         return
     importer.compile_module(BOOT)
     importer.bundle[FINGERPRINT] = fingerprint
-    code = marshal.dumps(importer.bundle)
+    # What writes code is not needed again until there is more to write.
+    kept = {name: each for name, each in importer.bundle.items() if name not in (STUB, __name__)}
+    code = marshal.dumps(kept)
     _write_and_rename(fd, partial, path, _compute_seal(importer.key, path, code) + code)
 
 
 def _find_code_path(importer: AgentImporter, folder: str, operation: str) -> str:
-    """Find the file of an operation's code for this version of Python: ``stub.py`` reads it.
-
-    Each key has a directory of its own.
-    """
-    name = "%s.%x.code" % (operation, sys.hexversion)
-    return os.path.join(folder, importer.sha, compute_sha256(importer.key.encode())[:8], name)
+    """Find the file of an operation's code: ``stub.py`` reads it."""
+    return os.path.join(folder, importer.sha, *name_code(importer.key, operation))
 
 
 def _compute_seal(key: str, path: str, code: bytes) -> bytes:
-    """Compute the proof that whoever knows ``key`` wrote ``code`` to a file of this name."""
-    content = compute_sha256(os.path.basename(path).encode() + b"\0" + code)
-    return compute_sha256(("%s %s" % (key, content)).encode()).encode()
+    return compute_seal(key.encode(), os.path.basename(path).encode(), code)
 
 
 def _read_bundle(importer: AgentImporter, path: str) -> "Bundle":
@@ -82,9 +73,9 @@ def _read_bundle(importer: AgentImporter, path: str) -> "Bundle":
         data, _ = read_file(path)
     except OSError:
         return {}
-    if data[:_SEAL_LENGTH] != _compute_seal(importer.key, path, data[_SEAL_LENGTH:]):
+    if data[:SEAL_BYTES] != _compute_seal(importer.key, path, data[SEAL_BYTES:]):
         return {}
-    return dict(marshal.loads(data[_SEAL_LENGTH:]))  # noqa: S302 - of this manager, as the seal proves
+    return dict(marshal.loads(data[SEAL_BYTES:]))  # noqa: S302 - of this manager, as the seal proves
 
 
 def _create_file(path: str) -> int:

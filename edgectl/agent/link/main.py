@@ -3,7 +3,6 @@
 Each operation is imported on demand: start-up is most of the cost of a request.
 """
 
-import errno
 import os
 import sys
 
@@ -23,14 +22,14 @@ _MAX_PAYLOAD_BYTES = protocol.MAX_REPLY_BYTES - 65536
 
 _BUG_HINT = "this is a bug in edgectl's agent: please report it"
 _PROCESSES_HINT = "stop something there, or raise the limit of processes (ulimit -u, TasksMax)"
-# By errno: what the host lacks, and what helps.
+# By the name of its errno: what the host lacks, and what helps.
 _LACKING = {
-    errno.EAGAIN: ("processes", _PROCESSES_HINT),
-    errno.ENOMEM: ("memory", "stop something there"),
-    errno.EMFILE: ("open files", "raise its limit of open files (ulimit -n)"),
-    errno.ENFILE: ("open files", "stop something there"),
-    errno.ENOSPC: ("disk space", "free some space there"),
-    errno.EDQUOT: ("disk space", "free some space there"),
+    "EAGAIN": ("processes", _PROCESSES_HINT),
+    "ENOMEM": ("memory", "stop something there"),
+    "EMFILE": ("open files", "raise its limit of open files (ulimit -n)"),
+    "ENFILE": ("open files", "stop something there"),
+    "ENOSPC": ("disk space", "free some space there"),
+    "EDQUOT": ("disk space", "free some space there"),
 }
 
 
@@ -67,7 +66,9 @@ def serve_request(request: bytes, channel: "Channel", bases: "list[str]") -> Non
 
 def _build_os_error(error: OSError) -> Document:
     """What the host lacks, where the error says it; any other is a bug."""
-    lacks = _LACKING.get(error.errno or 0)
+    from errno import errorcode
+
+    lacks = _LACKING.get(errorcode.get(error.errno or 0, ""))
     if lacks is None:
         return _build_error("agent-error", _describe_exception(error), _BUG_HINT)
     return _build_error("out-of-resources", "the host is out of " + lacks[0], lacks[1])

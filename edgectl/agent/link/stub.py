@@ -1,26 +1,38 @@
 """First program of a request: find the boot program as an earlier request compiled it, or compile it.
 
 The text of this file is sent on standard input before that of ``boot.py``. It is as short as it can be: to
-compile it and ``boot.py`` at each request would take a quarter of the CPU of a status request.
+compile it takes half a millisecond of CPU at each request, ``boot.py`` three.
 """
 
+import gc
 import marshal
 import os
 import sys
 
-try:
-    # Module hashlib loads OpenSSL: 4 ms of CPU. The bare module is _sha2 since Python 3.12, _sha256 before.
-    from _sha2 import sha256
-except ImportError:
-    try:
-        from _sha256 import sha256
-    except ImportError:
-        from hashlib import sha256
-
-
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import Any
+    from typing import Any, Union
+
+SEAL_BYTES = 32
+
+
+def compute_seal(key: bytes, name: bytes, code: "Union[bytes, memoryview]") -> bytes:
+    """Compute the proof that whoever knows ``key`` wrote ``code`` to a file of this name."""
+    try:
+        # Three times as fast as SHA-256, which takes 0.7 ms for the code of a probe.
+        from _blake2 import blake2b
+
+        return blake2b(code, key=blake2b(name, key=key).digest(), digest_size=SEAL_BYTES).digest()
+    except (ImportError, ValueError):
+        # Not built, or forbidden where only approved algorithms run.
+        from hashlib import sha256
+
+        return sha256(key + sha256(name + b"\0" + code).digest()).digest()
+
+
+def name_code(key: str, operation: str) -> "tuple[str, str]":
+    """Name directory and file of an operation's code: of this key, for this version of Python."""
+    return compute_seal(key.encode(), b"", b"").hex()[:8], "%s.%x.code" % (operation, sys.hexversion)
 
 
 def list_state_bases() -> "list[str]":
@@ -34,22 +46,23 @@ def list_state_bases() -> "list[str]":
 
 def find_code(bases: "list[str]", sha: str, key: str, operation: str) -> "dict[str, Any]":
     """Find the code of an operation that has the seal of this manager: ``cache.py`` writes it."""
-    name = "%s.%x.code" % (operation, sys.hexversion)
+    folder, name = name_code(key, operation)
     for base in bases:
         try:
-            with open(
-                os.path.join(base, "agent", sha, sha256(key.encode()).hexdigest()[:8], name), "rb"
-            ) as file:
-                data = file.read()
+            with open(os.path.join(base, "agent", sha, folder, name), "rb", 0) as file:
+                # Slices of it are no copies: each takes 0.1 ms.
+                data = memoryview(file.read())
         except OSError:
             continue
-        content = sha256(name.encode() + b"\0" + data[64:]).hexdigest()
-        if data[:64] == sha256(("%s %s" % (key, content)).encode()).hexdigest().encode():
-            return dict(marshal.loads(data[64:]))  # noqa: S302 - sealed
+        code = data[SEAL_BYTES:]
+        if data[:SEAL_BYTES] == compute_seal(key.encode(), name.encode(), code):
+            return dict(marshal.loads(code))  # noqa: S302 - sealed
     return {}
 
 
 if __name__ == "__main__":
+    # A request leaves no garbage worth the search, which takes 0.2 ms; a supervisor is searched now and then.
+    gc.set_threshold(10000)
     stdin = sys.stdin.buffer
     text = stdin.read(int(stdin.readline()))
     words = stdin.readline().decode("ascii").split()
