@@ -5,7 +5,7 @@ delivery rate with the flag that the application was the limit (Linux 4.9), and 
 under way or waited for the receiver or for the send buffer (4.10). Nothing is sent for it.
 """
 
-import struct
+from .sockets import struct
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -254,7 +254,7 @@ def build_peers(peers: "Addresses", flows: "list[Flow]", seconds: float) -> "dic
         edge: link_rate.estimate_rate([flow for flow in flows if flow.remote in addresses], seconds)
         for edge, addresses in peers.items()
     }
-    interfaces = find_interfaces(peers) if radio.list_radios() else {}
+    interfaces = find_interfaces(peers) if peers and radio.list_radios() else {}
     radios = radio.read_rates(interfaces.values())
     return {
         edge: {"carries_bytes_per_s": rate, "radio_bytes_per_s": radios.get(interfaces.get(edge))}

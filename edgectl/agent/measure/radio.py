@@ -4,10 +4,9 @@ It is a nominal rate, above what TCP gets, and a live one: drivers lower it with
 """
 
 import os
-import struct
 
 from . import proc
-from .sockets import socket
+from .sockets import socket, struct
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -39,8 +38,8 @@ def list_radios() -> "list[str]":
 
 def read_rates(wanted: "Iterable[str | None]") -> "dict[str | None, float]":
     """Read bytes/s by interface, of those ``wanted`` that are radios and state a rate."""
-    names = set(wanted)
-    found = {name: _read_rate(name) for name in list_radios() if name in names}
+    names = set(wanted) - {None}
+    found = {name: _read_rate(name) for name in (list_radios() if names else ()) if name in names}
     return {name: rate for name, rate in found.items() if rate}
 
 

@@ -1,10 +1,9 @@
 """UDP sockets: the kernel has no byte counters for them, so of their traffic only its existence is known."""
 
-import struct
 import time
 
 from . import proc
-from .sockets import socket, unmap_address
+from .sockets import socket, struct, unmap_address
 
 _FAMILIES = {8: socket.AF_INET, 32: socket.AF_INET6}
 _TABLES = ("udp", "udp6")
@@ -65,7 +64,7 @@ def _count_datagrams() -> int:
     rows = [row.split() for row in proc.read_file("/proc/net/snmp").splitlines() if row.startswith(b"Udp:")]
     found = dict(zip(*rows)) if len(rows) == 2 else {}  # noqa: B905 - Python 3.6
     for row in proc.read_file("/proc/net/snmp6").splitlines():
-        name, _, value = row.partition(b" ")
-        if name.startswith(b"Udp6"):
+        if row.startswith(b"Udp6"):
+            name, _, value = row.partition(b" ")
             found[name] = value
     return sum(int(found.get(name, 0)) for name in _COUNTERS)
