@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import cast
 
-from edgectl.agent.supervise import lease_rules
+from edgectl.agent.supervise import grants, lease_rules
 from edgectl.errors import RefusedError
 from edgectl.gateway.host_probe import drop_known_hosts
 from edgectl.model.inventory import Role
@@ -58,7 +58,7 @@ class SimulatedHost:
 
     def measure(self, holder: str) -> HostSample:
         """What this manager is told of the grants, as a probe tells it."""
-        told = lease_rules.merge_listings(list(self.listings.values()), holder)
+        told = grants.merge_listings(list(self.listings.values()), holder)
         return HostSample(
             role=Role.EDGE,
             status=HostStatus.OK,

@@ -6,6 +6,8 @@ behind it.
 
 import os
 
+from . import proc
+
 _NO_LIMIT = 1 << 60
 
 
@@ -21,11 +23,7 @@ class CgroupLimit:
 
 
 def _read_text(path: str) -> str:
-    try:
-        with open(path, "rb") as file:
-            return file.read().decode("ascii", "replace").strip()
-    except OSError:
-        return ""
+    return proc.read_file(path).decode("ascii", "replace").strip()
 
 
 def _read_numbers(path: str) -> "dict[str, int]":

@@ -57,7 +57,8 @@ def list_usable_cpus() -> "set[int]":
 def _read_busy_s(allowed: "set[int]") -> float:
     """Read the seconds since boot in which the allowed CPUs were busy."""
     total = 0.0
-    for line in proc.read_file("/proc/stat").decode("ascii", "replace").splitlines():
+    # What follows the CPUs is longer.
+    for line in proc.read_file("/proc/stat").partition(b"\nintr")[0].decode("ascii", "replace").splitlines():
         name, _, rest = line.partition(" ")
         if name[:3] == "cpu" and name[3:].isdigit() and int(name[3:]) in allowed:
             columns = [int(column) for column in rest.split()[:_BUSY_COLUMNS]]
@@ -115,17 +116,24 @@ def read_memory() -> "dict[str, int]":
 
 def read_machine_memory(path: str = "/proc/meminfo") -> "tuple[int, int]":
     """Read (total, used) bytes of the machine."""
-    lines = (line.split() for line in proc.read_file(path).decode("ascii", "replace").splitlines())
-    kib = {words[0].rstrip(":"): int(words[1]) for words in lines if len(words) > 1 and words[1].isdigit()}
-    free = kib.get("MemAvailable")
+    text = b"\n" + proc.read_file(path)
+    total, free = _find_bytes(text, b"MemTotal"), _find_bytes(text, b"MemAvailable")
     # Linux before 3.14 states no available memory, and psutil estimates it.
     psutil = import_psutil() if free is None else None
     if psutil is not None:
         seen = psutil.virtual_memory()
         return seen.total, seen.total - seen.available
+    if total is None:
+        raise OSError("%s does not state the memory" % path)
     if free is None:
-        free = kib.get("MemFree", 0) + kib.get("Cached", 0) + kib.get("Buffers", 0)
-    return kib["MemTotal"] * 1024, (kib["MemTotal"] - free) * 1024
+        free = sum(_find_bytes(text, name) or 0 for name in (b"MemFree", b"Cached", b"Buffers"))
+    return total, total - free
+
+
+def _find_bytes(text: bytes, name: bytes) -> "int | None":
+    """Find the line ``name: number kB``, without a look at the other 50; None where there is none."""
+    rest = text.partition(b"\n" + name + b":")[2]
+    return int(rest.split(None, 1)[0]) * 1024 if rest else None
 
 
 def read_load_1m() -> float:
@@ -146,16 +154,17 @@ def read_temperature_c() -> "float | None":
 
 
 def _list_sensor_files() -> "list[str]":
-    zones = ["%s/temp" % zone for zone in _list_folder("/sys/class/thermal") if "thermal_zone" in zone]
-    chips = [file for chip in _list_folder("/sys/class/hwmon") for file in _list_folder(chip)]
+    zones = ["%s/temp" % zone for zone in _list_folder("/sys/class/thermal", "thermal_zone")]
+    chips = [file for chip in _list_folder("/sys/class/hwmon") for file in _list_folder(chip, "temp")]
     return zones + [
         file for file in chips if os.path.basename(file).startswith("temp") and file.endswith("_input")
     ]
 
 
-def _list_folder(folder: str) -> "list[str]":
+def _list_folder(folder: str, part: str = "") -> "list[str]":
+    """List the paths in ``folder`` with ``part`` in their names."""
     try:
-        return sorted(os.path.join(folder, name) for name in os.listdir(folder))
+        return sorted(folder + "/" + name for name in os.listdir(folder) if part in name)
     except OSError:
         return []
 
@@ -176,9 +185,7 @@ def read_gpu_share() -> "float | None":
 
     None without either.
     """
-    for path in [
-        path for folder in _GPU_FOLDERS for path in _list_folder(folder) if "gpu" in os.path.basename(path)
-    ]:
+    for path in [path for folder in _GPU_FOLDERS for path in _list_folder(folder, "gpu")]:
         text = _read_text(path + "/load")
         if text.isdigit():
             return min(1.0, int(text) / 1000.0)

@@ -7,7 +7,7 @@ import zlib
 
 from ..link import protocol
 from ..link.fast_json import Document
-from ..supervise import adoption, other_tasks, state_dir, status
+from ..supervise import adoption, grants, other_tasks, state_dir, status
 from . import device, metrics, network, proc
 from .task import TaskMeter
 from .udp import UdpMeter
@@ -43,7 +43,7 @@ def probe_host(request: Document) -> Document:
             "machine": _describe_place(),
             "wall": time.time(),
             "load_1m": device.read_load_1m(),
-            "grants": _read_grants(request),
+            "grants": grants.read_grants(request.get("manager", "")),
             "generations": _list_generations(
                 [request["host"], *request.get("former", [])], measured["tasks"]
             ),
@@ -70,12 +70,6 @@ def _claim_lease(request: Document) -> Document:
     from ..supervise.lease import claim_lease
 
     return {"lease": claim_lease(request["lease"])}
-
-
-def _read_grants(request: Document) -> Document:
-    from ..supervise.lease import read_grants
-
-    return read_grants(request.get("manager", ""))
 
 
 def _read_profiler(request: Document) -> "tuple[Document, _RunningChecks] | None":

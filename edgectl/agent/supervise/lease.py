@@ -14,7 +14,7 @@ from ..link.boot import check_private_dir, make_private_dir
 from ..link.errors import RefusalError
 from ..link.fast_json import Document
 from ..measure import proc
-from . import lease_rules, records, state_dir
+from . import grants, lease_rules, records, state_dir
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _RECORD, _NOTE, _LOCK, _STARTS = protocol.LEASE_FILE, "watch", "lease.lock", "lease.starts"
 # One file for each manager that was granted the fleet; of more than these the host keeps the last ones.
-_LISTINGS, _MAX_LISTINGS = "manager-", 8
+_MAX_LISTINGS = 8
 # Writers of the record hold its lock for milliseconds. A start lasts until its supervisor has reported.
 _WRITE_S, _START_S, _POLL_S = 5.0, 6.0, 0.02
 
@@ -67,13 +67,13 @@ def _answer_claim(base: str, claim: Document, *, write: bool = False) -> "tuple[
 
 def _keep_listing(base: str, claim: Document) -> None:
     """Keep which hosts the manager has. A full disk or a list that is too long is no reason to refuse."""
-    path = os.path.join(base, "%s%08x" % (_LISTINGS, zlib.crc32(str(claim["holder"]).encode())))
+    path = os.path.join(base, "%s%08x" % (grants.LISTINGS, zlib.crc32(str(claim["holder"]).encode())))
     old = records.read_record(path)
     new = lease_rules.build_listing(old, claim)
     if new == old:
         return
     others = sorted(
-        (each for each in _list_listings([base]) if each != path), key=os.path.getmtime, reverse=True
+        (each for each in grants.list_listings([base]) if each != path), key=os.path.getmtime, reverse=True
     )
     try:
         for each in others[_MAX_LISTINGS - 1 :]:
@@ -81,32 +81,6 @@ def _keep_listing(base: str, claim: Document) -> None:
         records.write_record(path, new, durable=True)
     except (OSError, ValueError):
         pass
-
-
-def _list_listings(folders: "list[str]") -> "list[str]":
-    return [
-        os.path.join(folder, name)
-        for folder in folders
-        for name in (os.listdir(folder) if os.path.isdir(folder) else ())
-        if name.startswith(_LISTINGS)
-    ]
-
-
-def read_grants(holder: str) -> Document:
-    """To whom this host granted the fleet last, and the hosts of other managers than ``holder``.
-
-    By it, a manager sees that others have acted, and where.
-    """
-    folders = [levels[-1] for levels in _list_fleet_dirs()]
-    found = [records.read_record(os.path.join(folder, _RECORD)) for folder in folders]
-    newest = max(found, key=lambda each: each.get("epoch", 0), default={})
-    listings = [records.read_record(path) for path in _list_listings(folders)]
-    grants = {
-        "holder": newest.get("holder", ""),
-        "epoch": newest.get("epoch", 0),
-        "other_epoch": newest.get("other_epoch", 0),
-    }
-    return dict(grants, **lease_rules.merge_listings(listings, holder))
 
 
 def serve_lease(request: Document) -> Document:
@@ -217,17 +191,12 @@ def _read_newest(name: str) -> Document:
 
 def _list_existing_dirs() -> "list[str]":
     found = []
-    for levels in _list_fleet_dirs():
+    for levels in grants.list_fleet_dirs():
         if os.path.exists(os.path.join(levels[-1], _LOCK)):
             for level in levels:
                 check_private_dir(level)
             found.append(levels[-1])
     return found
-
-
-def _list_fleet_dirs() -> "list[list[str]]":
-    """List, for each base, the directories down to that of the fleet, which names of one machine share."""
-    return [state_dir.list_fleet_levels(base) for base in state_dir.list_own_bases()]
 
 
 def _find_lease_dir() -> str:
@@ -243,7 +212,7 @@ def _find_lease_dir() -> str:
 
 def _make_lease_dir() -> str:
     """The first directory that accepts the files of the lease; empty where none does."""
-    for levels in _list_fleet_dirs():
+    for levels in grants.list_fleet_dirs():
         try:
             for level in levels:
                 make_private_dir(level)

@@ -127,12 +127,6 @@ def build_listing(listing: Document, claim: Document) -> Document:
     return {"holder": _truncate_text(claim["holder"]), "hosts": hosts, "names": sorted(names)}
 
 
-def merge_listings(listings: "list[Document]", holder: object) -> Document:
-    """The hosts that other managers than ``holder`` have, and the names of this machine among them."""
-    others = [each for each in listings if each.get("holder") not in (None, holder)]
-    return {key: sorted({name for each in others for name in each[key]}) for key in ("hosts", "names")}
-
-
 def find_other_epoch(record: Document, holder: object) -> int:
     """The epoch of the last session of a manager other than ``holder``; 0 where there was none."""
     same = record.get("holder") in (None, holder)

@@ -108,6 +108,12 @@ def find_orphans(found: InstanceRecord, table: "dict[int, proc.Process]") -> "se
     return proc.find_descendants(seeds, table) - {os.getpid()}
 
 
+def may_live(folder: str) -> bool:
+    """Whether the record leaves it open that the task lives: cheap, for most have ended."""
+    known = records.read_record(os.path.join(folder, "status"))
+    return known.get("state") not in protocol.FINAL_STATES or bool(known.get("left"))
+
+
 def is_alive(found: InstanceRecord, table: "dict[int, proc.Process] | None" = None) -> bool:
     """Whether the lock is held, or the supervisor or a cookie is found: a supervisor that took over a task
     has the lock only once the processes that it found have ended.

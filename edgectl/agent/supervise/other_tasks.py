@@ -7,7 +7,7 @@ import os
 from ..link import protocol
 from ..link.fast_json import Document
 from ..measure import proc
-from . import liveness, records, state_dir, status
+from . import liveness, state_dir, status
 
 # Room in a reply; those of this fleet come first.
 _MAX_ENTRIES = 1000
@@ -22,7 +22,7 @@ def list_other_tasks(host: str, table: "dict[int, proc.Process] | None" = None) 
         known = fleet == own and filed_under in names
         if (
             (filed_under != host or not known)
-            and _may_live(folder)
+            and liveness.may_live(folder)
             and not (known and _is_shown(host, folder))
         ):
             record = liveness.read_instance(folder)
@@ -39,12 +39,6 @@ def _is_shown(host: str, folder: str) -> bool:
     """Whether the entry of the host for this task is that of ``folder``."""
     record = status.find_current(host, os.path.basename(folder))[0]
     return record is not None and record.folder == folder
-
-
-def _may_live(folder: str) -> bool:
-    """Whether the record leaves it open that the task lives: cheap, for most have ended."""
-    known = records.read_record(os.path.join(folder, "status"))
-    return known.get("state") not in protocol.FINAL_STATES or bool(known.get("left"))
 
 
 def _build_other_entry(fleet: str, host: str, record: liveness.InstanceRecord) -> Document:

@@ -42,27 +42,26 @@ def check_name(name: object) -> str:
 
 def list_fleet_levels(base: str) -> "list[str]":
     """List the directories from ``base`` down to that of this fleet, existing or not."""
-    root = os.path.join(base, ROOT_NAME)
-    return [base, root, os.path.join(root, get_fleet())]
+    root = base + "/" + ROOT_NAME
+    return [base, root, root + "/" + get_fleet()]
 
 
 def _list_host_levels(base: str, host: str) -> "list[str]":
     levels = list_fleet_levels(base)
-    hosts = os.path.join(levels[-1], "hosts")
-    return [*levels, hosts, os.path.join(hosts, check_name(host))]
+    hosts = levels[-1] + "/hosts"
+    return [*levels, hosts, hosts + "/" + check_name(host)]
 
 
 def _list_levels(base: str, host: str, task: str) -> "list[str]":
     levels = _list_host_levels(base, host)
-    tasks = os.path.join(levels[-1], "tasks")
-    return [*levels, tasks, os.path.join(tasks, check_name(task))]
+    tasks = levels[-1] + "/tasks"
+    return [*levels, tasks, tasks + "/" + check_name(task)]
 
 
 def list_legacy_levels(base: str, host: str) -> "list[str]":
     """List the directories down to that of the tasks of ``host`` in the layout without fleets."""
-    hosts = os.path.join(base, "hosts")
-    home = os.path.join(hosts, check_name(host))
-    return [base, hosts, home, os.path.join(home, "tasks")]
+    home = base + "/hosts/" + check_name(host)
+    return [base, base + "/hosts", home, home + "/tasks"]
 
 
 def list_host_names(host: str) -> "list[str]":
