@@ -1,0 +1,100 @@
+"""What a request loads and reads on a host: counted, because a time would depend on the machine."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from edgectl.agent.link import protocol
+from edgectl.agent.measure.task import TaskMeter
+from edgectl.agent.supervise import state_dir
+from edgectl.errors import RefusedError
+from tests.agent.conftest import AgentHost, a_spec
+
+LINKS = [{"robot": "robot1", "address": "127.16.98.1"}]
+LEASE = {"holder": "ana", "session": "s1", "epoch": 1}
+# What each request may load besides what Python itself does: modules of the standard library, all but ``os`` and
+# its parts in C, and a number of the agent's own.
+ALWAYS = {"os", "stat", "_stat", "posixpath", "genericpath", "_collections_abc", "gc"}
+ALWAYS |= {"_blake2", "_sha256", "_sha2", "_json", "zlib", "fcntl"}
+REQUESTS: dict[str, tuple[dict[str, Any], set[str], int]] = {
+    "status": ({"task": None}, set(), 15),
+    "logs": ({"task": "slam", "tail": 10}, {"select"}, 17),
+    "lease": ({"action": "renew", "lease": LEASE}, set(), 16),
+    "stop": ({"task": "slam", "instance": None, "generation": None, "stop": None}, set(), 21),
+    "wait": ({"task": "slam", "instance": "i1", "timeout_s": 0.0}, set(), 15),
+    "probe": ({"window_s": 0.0, "links": LINKS}, {"_socket", "_struct", "select", "errno"}, 28),
+    "start": (
+        {
+            "task": "done",
+            "instance": "i1",
+            "generation": 1,
+            "spec": a_spec("exec sleep 600", runtime="process"),
+        },
+        {"select"},
+        32,
+    ),
+}
+
+
+def list_modules(text: str) -> set[str]:
+    """The modules in the report of ``-X importtime``."""
+    return set(re.findall(r"^import time:.*\|\s*(\S+)$", text, re.MULTILINE)) - {"package"}
+
+
+@pytest.fixture
+def bare() -> set[str]:
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", "-I", "-S", "-c", "import sys, _signal"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return list_modules(done.stderr)
+
+
+@pytest.mark.parametrize("op", REQUESTS)
+def test_request_loads_no_more_than_it_needs(
+    host: AgentHost, tmp_path: Path, bare: set[str], op: str
+) -> None:
+    fields, allowed, own = REQUESTS[op]
+    report, python = tmp_path / "imports", tmp_path / "python3"
+    python.write_text(f'#!/bin/sh\nexec {sys.executable} -X importtime "$@" 2>{report}\n')
+    python.chmod(0o700)
+    host.session.python = str(python)
+    # The first request of an operation may have to compile its code, which takes more modules.
+    for number in range(2):
+        try:
+            host.ask(op, **{**fields, **({"task": f"done{number}"} if op == "start" else {})})
+        except RefusedError:
+            assert op == protocol.OP_LEASE, "nobody holds the fleet"
+    loaded = list_modules(report.read_text()) - bare
+    mine = {name for name in loaded if name.startswith("edgectl_agent")}
+    assert mine, "the report of the request is there"
+    assert loaded - mine - ALWAYS <= allowed
+    assert len(mine) <= own, sorted(mine)
+
+
+def test_process_table_is_read_only_for_tasks_that_may_live(host: AgentHost) -> None:
+    host.start("ended", "true", kind="job")
+    host.until("ended", "completed")
+    state_dir.use_fleet([str(host.state)], host.fleet)
+    assert "read_process_table" not in list_calls(host, {"ended": "completed"})
+    host.start("slam", "exec sleep 600")
+    host.until("slam", "running")
+    assert "read_process_table" in list_calls(host, {"ended": "completed", "slam": "running"})
+
+
+def list_calls(host: AgentHost, states: dict[str, str]) -> set[str]:
+    """The functions called to measure the tasks of a host, which are in these states."""
+    calls: set[str] = set()
+    sys.setprofile(lambda frame, _event, _value: calls.add(frame.f_code.co_name))
+    try:
+        found = TaskMeter(host.name, []).measure([], {}, {}, 1.0)
+    finally:
+        sys.setprofile(None)
+    assert {name: entry["state"] for name, entry in found.items()} == states
+    return calls
