@@ -25,8 +25,9 @@ Expected outcomes (unplaced, unreachable, deferred) are values, not exceptions.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import IntEnum
+
+from edgectl.dataclass import dataclass
 
 
 class ExitCode(IntEnum):

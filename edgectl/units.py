@@ -6,8 +6,9 @@ Parsers take a YAML value (number or string) and raise ``QuantityError``, whose 
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from datetime import UTC, datetime
+
+from edgectl.dataclass import dataclass
 
 _BYTE_UNITS = {
     "": 1,

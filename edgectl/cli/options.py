@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, get_origin
 from typer import Argument, Option
 
 from edgectl.cli.completion import complete_hosts, complete_tasks
+from edgectl.dataclass import dataclass
 from edgectl.model.policy import PolicyName
 from edgectl.views.output_format import (
     CYCLE_FORMATS,
@@ -196,7 +197,7 @@ Shell = Literal["bash", "zsh", "fish"]
 DryRunOption = Annotated[bool, Option("--dry-run", help="Only print the exact remote commands.")]
 
 
-@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PolicyOptions:
     """Overrides of the policy of the task files. ``full``, ``rebalance`` and ``optimal`` are
     options of ``PlanPolicyOptions`` only.
@@ -212,7 +213,7 @@ class PolicyOptions:
     without: WithoutOption = None
 
 
-@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PlanPolicyOptions(PolicyOptions):
     """Overrides of the policy for one plan."""
 
@@ -221,7 +222,7 @@ class PlanPolicyOptions(PolicyOptions):
     full: FullOption = False
 
 
-@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PlanFilterOptions:
     """Tasks to which a plan is limited; decisions still cover all tasks."""
 
@@ -229,7 +230,7 @@ class PlanFilterOptions:
     selector: SelectorOption = None
 
 
-@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ChangeOptions:
     """How a plan is confirmed and carried out."""
 

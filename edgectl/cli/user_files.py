@@ -3,12 +3,13 @@
 import errno
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from stat import S_IMODE, S_ISLNK, S_ISREG
 from tempfile import mkstemp
 from typing import BinaryIO
 
+from edgectl.dataclass import dataclass
 from edgectl.errors import FileError, InputError, Problem, UsageError
 from edgectl.model.inventory import Inventory
 from edgectl.model.task import Tasks

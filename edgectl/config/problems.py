@@ -4,10 +4,11 @@ import re
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from enum import StrEnum
 from functools import lru_cache
 
+from edgectl.dataclass import dataclass
 from edgectl.errors import InputError, Problem
 from edgectl.names import format_name_list, suggest_name
 

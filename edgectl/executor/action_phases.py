@@ -1,8 +1,8 @@
 """The phases of each action and their requests, as one list: apply performs it, a dry run prints it. Pure."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 
+from edgectl.dataclass import dataclass
 from edgectl.errors import HostError
 from edgectl.executor import host_requests
 from edgectl.executor.dependencies import find_replacement_hold, is_replacement, list_stop_hosts

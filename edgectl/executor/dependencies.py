@@ -1,8 +1,8 @@
 """Order of the actions of a plan: needs first, then room. Pure."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 
+from edgectl.dataclass import dataclass
 from edgectl.model.plan import Action, Step
 from edgectl.model.result import ActionResult, Outcome
 from edgectl.model.task import Check, CheckLocation, Need, NeedCondition, Task, Tasks

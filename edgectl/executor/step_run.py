@@ -5,9 +5,10 @@ import dataclasses
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from edgectl.agent.link import protocol
+from edgectl.dataclass import dataclass
 from edgectl.errors import ConnectError, HostError, RefusedError, StateError
 from edgectl.executor.host_requests import Request, build_instance_id
 from edgectl.model.inventory import Host, Inventory

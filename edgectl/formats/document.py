@@ -2,8 +2,8 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 
+from edgectl.dataclass import dataclass
 from edgectl.errors import EdgectlError, ExitCode
 
 FORMAT_VERSION = 1

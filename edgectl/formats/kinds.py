@@ -1,9 +1,9 @@
 """Kinds of documents with their versions: snapshot, plan, and the state of the manager."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
+from edgectl.dataclass import dataclass
 from edgectl.formats.codec import build_document_schema, decode, encode
 from edgectl.formats.document import Document, Fault, Faults, FormatErrors
 from edgectl.formats.scalar_codecs import Schema, describe_json_type

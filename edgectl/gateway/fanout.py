@@ -5,9 +5,9 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from typing import Generic, TypeVar
 
+from edgectl.dataclass import dataclass
 from edgectl.errors import HostError
 from edgectl.model.inventory import Host
 from edgectl.transport.agent_client import call_agent

@@ -3,9 +3,10 @@
 import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence, Set
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from edgectl.agent.link import protocol
+from edgectl.dataclass import dataclass
 from edgectl.errors import HostError
 from edgectl.gateway.fanout import MAX_PARALLEL_HOSTS, HostAnswer, HostReply, ask_all, fan_out
 from edgectl.gateway.link_observations import LinkEnds, decode_link_ends, join_link_ends

@@ -1,8 +1,9 @@
 """Links as both ends report them: each end knows what limits its own sending."""
 
 from collections.abc import Mapping, Set
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
+from edgectl.dataclass import dataclass
 from edgectl.gateway.replies import LinkReply, PeerReply, ProbeReply, ReplyDocument, decode_reply
 from edgectl.model.link_reading import LinkObservation
 

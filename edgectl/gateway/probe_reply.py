@@ -5,9 +5,10 @@ Pure and strict: anything odd costs this host its sample, and no other host anyt
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from edgectl.agent.link import protocol
+from edgectl.dataclass import dataclass
 from edgectl.errors import ReplyError
 from edgectl.gateway.replies import (
     DEVICE_USAGE,

@@ -6,9 +6,10 @@ has its default. In collections of tasks, links and the like, an entry that does
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, make_dataclass
+from dataclasses import field, make_dataclass
 from typing import Annotated, Any, TypeVar
 
+from edgectl.dataclass import dataclass
 from edgectl.errors import ReplyError
 from edgectl.formats.codec import decode
 from edgectl.formats.document import Faults

@@ -4,10 +4,11 @@ Nothing is recomputed for display.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import StrEnum
 from typing import Annotated
 
+from edgectl.dataclass import dataclass
 from edgectl.model.encoding import Bounds, Positive, Signed, SignedInt, in_document
 from edgectl.model.policy import Policy
 from edgectl.model.resource import TERMS, Resource, ResourceMap, Usage

@@ -1,7 +1,6 @@
 """One cycle of a watch: measurements, decision and results."""
 
-from dataclasses import dataclass
-
+from edgectl.dataclass import dataclass
 from edgectl.model.event import Event
 from edgectl.model.plan import Plan
 from edgectl.model.result import Results

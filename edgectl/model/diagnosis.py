@@ -4,10 +4,11 @@ Quantities are bytes, seconds and bytes per second; clocks are seconds since 197
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import StrEnum
 
 from edgectl.agent.link import protocol
+from edgectl.dataclass import dataclass
 from edgectl.model.snapshot import CapacitySource
 
 

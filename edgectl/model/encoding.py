@@ -5,8 +5,9 @@ that equals its default is left out. A unit follows from the name (``used_bytes`
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
+
+from edgectl.dataclass import dataclass
 
 Item = TypeVar("Item")
 

@@ -1,7 +1,8 @@
 """Events of the fleet, one line each."""
 
-from dataclasses import dataclass
 from enum import StrEnum
+
+from edgectl.dataclass import dataclass
 
 
 class EventKind(StrEnum):

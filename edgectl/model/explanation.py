@@ -1,8 +1,8 @@
 """Explanation of one decision: the terms behind it and the smallest changes that would reverse it."""
 
-from dataclasses import dataclass
 from enum import StrEnum
 
+from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Decision
 from edgectl.model.policy import Weights
 

@@ -1,9 +1,10 @@
 """The fleet as the inventory file states it: edges, robots and the links between them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import StrEnum
 
+from edgectl.dataclass import dataclass
 from edgectl.model.resource import HOST_RESOURCES, MEASURED_HOST_RESOURCES, ResourceMap
 from edgectl.model.ros import RosSettings
 

@@ -1,7 +1,8 @@
 """Observations of a link, and the readings of its live capacity (ADR 0077)."""
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from edgectl.dataclass import dataclass
 from edgectl.model.encoding import Instant, in_document
 from edgectl.model.snapshot import CapacitySource
 

@@ -1,8 +1,9 @@
 """State of the manager between runs: a cache and a history, not the record of what runs."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from edgectl.dataclass import dataclass
 from edgectl.model.encoding import Instant, in_document
 
 _WRITTEN = in_document(always=True)

@@ -1,9 +1,10 @@
 """Plan: the executor's diff of an assignment against the running tasks."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import StrEnum
 
+from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Certificate, Decision, DemandSpread, ExpectedLoad, Overuse, Shortage
 from edgectl.model.encoding import Instant, in_document
 from edgectl.model.policy import Policy

@@ -5,8 +5,9 @@ manager's clock.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from edgectl.dataclass import dataclass
 from edgectl.model.event import Event
 from edgectl.model.resource import HOST_RESOURCES, TASK_RESOURCES, Usage
 from edgectl.model.result import Outcome

@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import StrEnum
 from types import MappingProxyType
 
+from edgectl.dataclass import dataclass
 from edgectl.model.encoding import in_document
 from edgectl.model.resource import AFFINITY, RESOURCES, TERMS, ResourceMap
 

@@ -1,9 +1,9 @@
 """Measured usage of a task: of each resource the median, the 95th percentile and the maximum."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
+from edgectl.dataclass import dataclass
 from edgectl.model.task import Task
 
 

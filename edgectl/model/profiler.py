@@ -1,8 +1,8 @@
 """The resident profiler of a host, as the host reports it."""
 
-from dataclasses import dataclass
 from enum import StrEnum
 
+from edgectl.dataclass import dataclass
 from edgectl.model.resource import Usage
 
 

@@ -1,9 +1,9 @@
 """Progress of a plan under way, for live views."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import StrEnum
 
+from edgectl.dataclass import dataclass
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Phase, PhaseResult
 

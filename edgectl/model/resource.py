@@ -5,10 +5,10 @@ weights, history, tables. Amounts are in the resource's own unit. docs/contribut
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, ClassVar, NoReturn, Self, TypeVar
 
+from edgectl.dataclass import dataclass
 from edgectl.units import BYTES, BYTES_PER_S, CORES, Unit
 
 Value = TypeVar("Value")

@@ -1,8 +1,8 @@
 """Results of a plan that was carried out."""
 
-from dataclasses import dataclass
 from enum import StrEnum
 
+from edgectl.dataclass import dataclass
 from edgectl.model.plan import Action
 
 

@@ -1,9 +1,10 @@
 """Revision: one past apply, as recorded in the journal."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import StrEnum
 
+from edgectl.dataclass import dataclass
 from edgectl.model.result import ActionResult, Results
 
 

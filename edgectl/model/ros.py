@@ -1,7 +1,8 @@
 """The ROS of a host: what its nodes need in order to find those of other hosts."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+
+from edgectl.dataclass import dataclass
 
 # What a host itself fills in where a task starts: the address of this host on its way to the robots, that of
 # the task's robot, and the URI of the ROS 1 master.

@@ -4,10 +4,11 @@ Amounts are in the unit of their resource; instants are seconds since 1970 on th
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import StrEnum
 
 from edgectl.agent.link import protocol
+from edgectl.dataclass import dataclass
 from edgectl.model.encoding import Instant, Positive, Signed, SignedInt, in_document
 from edgectl.model.inventory import Role
 from edgectl.model.manager_state import ManagerState

@@ -3,10 +3,11 @@
 import posixpath
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import StrEnum
 from math import inf
 
+from edgectl.dataclass import dataclass
 from edgectl.model.policy import Policy
 from edgectl.model.resource import RESOURCES_BY_NAME, ResourceMap
 from edgectl.model.ros import RosCheck

@@ -3,8 +3,8 @@
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
+from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState, Placement

@@ -5,12 +5,13 @@ same to the last bit. Imported only where it pays and where NumPy is installed.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
 
+from edgectl.dataclass import dataclass
 from edgectl.model.policy import Weights
 from edgectl.model.resource import HOST_RESOURCES, NETWORK
 from edgectl.model.task import ZERO, Task

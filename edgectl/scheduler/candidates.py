@@ -1,9 +1,10 @@
 """Candidates of one task: the places that may take it, and the total of each."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING, TypeAlias
 
+from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Rejection, RejectionRule, UtilityTerms
 from edgectl.model.policy import Policy, Preference
 from edgectl.model.resource import AFFINITY, RESOURCES, Resource

@@ -1,9 +1,10 @@
 """Capacities (Delta) of the fleet: hosts as numbered places, and the hosts that are closed to new work."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from math import inf
 
+from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Rejection, RejectionRule
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.manager_state import ManagerState, MeasuredDemand

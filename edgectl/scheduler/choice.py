@@ -1,7 +1,8 @@
 """Choice of a host: eq. (5) with its ties, and handoff avoidance."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
+from edgectl.dataclass import dataclass
 from edgectl.model.assignment import MoveCost, Reason, RejectionRule, Verdict
 from edgectl.model.resource import HOST_RESOURCES
 from edgectl.model.task import NothingFits

@@ -1,9 +1,9 @@
 """Reports of hosts about tasks, judged against the manager's own record (ADR 0047). Pure."""
 
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 
+from edgectl.dataclass import dataclass
 from edgectl.model.inventory import Host, Inventory, Role
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState

@@ -1,8 +1,8 @@
 """One task among those that it must, or must not, share a host with (ADR 73)."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 
+from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Rejection, RejectionRule, Verdict
 from edgectl.model.task import Task
 from edgectl.scheduler.candidates import AssignmentContext, CandidateSet, list_allowed_places

@@ -1,10 +1,11 @@
 """A decided plan as a packing: the view that its repair, its rebalancing and its optimum start from."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from math import inf
 
+from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Reason, Verdict
 from edgectl.model.resource import HOST_RESOURCES
 from edgectl.model.task import Task

@@ -1,8 +1,8 @@
 """What hosts and the manager's record say of one task: which of its instances count, and how far it is."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 
+from edgectl.dataclass import dataclass
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.snapshot import HostSample, TaskSample, TaskState
 from edgectl.model.task import Task

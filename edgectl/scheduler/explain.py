@@ -7,9 +7,10 @@ in closed form (``sensitivity``).
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import inf, sqrt
 
+from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Decision, RankedHost, Reason, RejectionRule, UtilityTerms, Verdict
 from edgectl.model.explanation import ChangeKind, Contribution, Explanation, Flip, Tie, TieRule
 from edgectl.model.inventory import Inventory

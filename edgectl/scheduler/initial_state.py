@@ -3,8 +3,9 @@ decides.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy

@@ -1,9 +1,11 @@
 """Mixed integer linear programs, and what a solver says of one. Pure: no solver is imported here."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from math import inf
 from typing import NamedTuple
+
+from edgectl.dataclass import dataclass
 
 
 class Row(NamedTuple):

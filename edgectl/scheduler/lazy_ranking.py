@@ -1,9 +1,10 @@
 """Rankings that are made when they are first read: most plans are carried out without (ADR 0075)."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import NamedTuple, overload
 
+from edgectl.dataclass import dataclass
 from edgectl.model.assignment import RankedHost, Rejection
 from edgectl.model.task import Task
 from edgectl.scheduler.candidates import AssignmentContext, gather_candidates, weigh_candidates

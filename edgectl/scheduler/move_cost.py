@@ -1,9 +1,9 @@
 """Measured cost of a move (ADR 0018): the gain over the expected stay against the downtime and its price."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from statistics import fmean, median
 
+from edgectl.dataclass import dataclass
 from edgectl.model.assignment import MoveCost
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.task import Task

@@ -4,10 +4,10 @@ moves; sum of utilities. Pure: the solver is given.
 
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from math import ceil, inf
 
+from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Certificate
 from edgectl.model.task import Task
 from edgectl.scheduler.decided_plan import DecidedPlan, build_search, rate_plan

@@ -6,12 +6,13 @@ demand of 0: nothing is added to a host that is overcommitted already.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cache
 from math import comb, inf
 from operator import ge, itemgetter, sub
 from typing import NamedTuple
 
+from edgectl.dataclass import dataclass
 from edgectl.scheduler.placement_rules import OccupancyLimit
 from edgectl.scheduler.utility import EPSILON
 

@@ -4,8 +4,9 @@ tasks are alike. Pure.
 
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from edgectl.dataclass import dataclass
 from edgectl.model.policy import Weights
 from edgectl.scheduler.integer_program import IntegerProgram
 from edgectl.scheduler.packing import Shares

@@ -1,9 +1,10 @@
 """Rules between tasks (ADR 73): ``apart``, ``together``, ``spread`` and ``group``. Pure."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from math import ceil
 
+from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Rejection, RejectionRule, Verdict
 from edgectl.model.task import OnboardRule, Task, join_units
 from edgectl.names import natural_key

@@ -1,9 +1,10 @@
 """Policies: the schemes of the paper's comparison, each with its own exceptions (ADR 0015)."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
 
+from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Reason, Verdict
 from edgectl.model.policy import PolicyName
 from edgectl.scheduler.candidates import (

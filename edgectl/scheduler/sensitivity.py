@@ -5,9 +5,9 @@ change where two of these lines cross: there are few such points, and each is kn
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
+from edgectl.dataclass import dataclass
 from edgectl.scheduler.utility import EPSILON
 
 # Just beyond a crossing, as a share of the unit: far above rounding, far below anything that is shown.

@@ -1,9 +1,10 @@
 """One pass over the sequence: each task is weighed on all places and put on the best one."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import partial
 
+from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Decision, Reason, Rejection, Verdict
 from edgectl.model.task import Task
 from edgectl.scheduler.candidates import (

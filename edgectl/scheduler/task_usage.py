@@ -1,7 +1,9 @@
 """Load of one task on one place."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
+
+from edgectl.dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

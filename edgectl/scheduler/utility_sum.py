@@ -1,8 +1,8 @@
 """The sum of utilities of a packing, kept up to date change by change (ADR 66). Pure."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
+from edgectl.dataclass import dataclass
 from edgectl.model.policy import Weights
 from edgectl.model.resource import AFFINITY, HOST_RESOURCES, NETWORK
 from edgectl.scheduler.packing import Item, Packing, keeps_limits

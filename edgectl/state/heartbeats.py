@@ -9,9 +9,10 @@ import contextlib
 import fcntl
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 
+from edgectl.dataclass import dataclass
 from edgectl.formats.document import FormatErrors
 from edgectl.formats.kinds import DocumentKind
 from edgectl.model.encoding import in_document

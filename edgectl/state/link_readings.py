@@ -1,9 +1,10 @@
 """Readings of the live capacity of links, kept between calls: a cache, which the next probes fill again."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
+from edgectl.dataclass import dataclass
 from edgectl.formats.kinds import DocumentKind
 from edgectl.model.encoding import in_document
 from edgectl.model.link_reading import LinkHistory

@@ -2,9 +2,10 @@
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
+from edgectl.dataclass import dataclass
 from edgectl.formats.kinds import MANAGER_STATE_KIND, DocumentKind
 from edgectl.model.encoding import Instant, in_document
 from edgectl.model.manager_state import ManagerState

@@ -7,9 +7,10 @@ import hashlib
 import json
 import zlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 
+from edgectl.dataclass import dataclass
 from edgectl.errors import StateError
 from edgectl.formats.document import FormatErrors
 from edgectl.formats.kinds import DocumentKind

@@ -6,10 +6,10 @@ journal.
 
 import sqlite3
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
+from edgectl.dataclass import dataclass
 from edgectl.errors import StateError
 from edgectl.model.event import Event
 from edgectl.model.plan import Plan

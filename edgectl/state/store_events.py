@@ -5,8 +5,9 @@ Pure: known state and new snapshot give events.
 
 import dataclasses
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from edgectl.dataclass import dataclass
 from edgectl.model.event import Event, EventKind
 from edgectl.model.snapshot import HostSample, HostStatus, Snapshot, TaskSample, TaskState
 from edgectl.units import format_duration

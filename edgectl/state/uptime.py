@@ -1,10 +1,11 @@
 """Uptime of this machine: a clock that cannot be set."""
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache
 from pathlib import Path
 
+from edgectl.dataclass import dataclass
 from edgectl.model.encoding import in_document
 
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")

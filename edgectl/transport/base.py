@@ -4,9 +4,9 @@ No user data is ever part of a command line, so no shell interprets it: requests
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Protocol, Self
 
+from edgectl.dataclass import dataclass
 from edgectl.model.inventory import Host
 
 

@@ -9,9 +9,10 @@ import socket
 import ssl
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
+from edgectl.dataclass import dataclass
 from edgectl.errors import AuthError, CoordinationError
 from edgectl.model.inventory import Coordination
 from edgectl.model.text import escape_unprintable

@@ -12,8 +12,8 @@ import math
 import secrets
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
+from edgectl.dataclass import dataclass
 from edgectl.errors import CoordinationError
 from edgectl.model.text import clean_text
 from edgectl.transport.etcd_client import (

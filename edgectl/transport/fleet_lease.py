@@ -7,9 +7,9 @@ the lease is counted from before the request left, so it ends earlier than on th
 import math
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Protocol
 
+from edgectl.dataclass import dataclass
 from edgectl.errors import RefusedError, ReplyError
 
 LEASE_S = 30.0

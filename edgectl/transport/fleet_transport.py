@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 from edgectl.model.inventory import Connection, Host
 from edgectl.transport.base import Session, Transport
+from edgectl.transport.deferred_imports import import_deferred
 
 
 class FleetTransport:
@@ -43,6 +44,7 @@ class FleetTransport:
             from edgectl.transport.openssh import OpenSshTransport
 
             return OpenSshTransport(accept_new=self._accept_new)
+        import_deferred("edgectl.transport.ssh")
         from edgectl.transport.ssh import SshTransport
 
         return SshTransport(accept_new=self._accept_new, ask_password=self._ask_password)

@@ -15,9 +15,9 @@ import socket
 import subprocess
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
+from edgectl.dataclass import dataclass
 from edgectl.errors import ConnectError
 from edgectl.model.inventory import Host, Role
 

@@ -3,8 +3,8 @@
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
+from edgectl.dataclass import dataclass
 from edgectl.executor.operator_plans import list_running_instances
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Plan

@@ -1,8 +1,8 @@
 """Events from the history; no host is asked."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
+from edgectl.dataclass import dataclass
 from edgectl.model.event import Event
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.record import get_newest_event_id

@@ -2,9 +2,10 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
+from edgectl.dataclass import dataclass
 from edgectl.model.inventory import Inventory
 from edgectl.model.task import Tasks
 from edgectl.state.json_files import Warn, ignore_warning

@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -21,6 +21,7 @@ from edgectl.config.problems import Mark, ProblemCode, Problems, Source
 from edgectl.config.source import decode_source, read_source
 from edgectl.config.task_file import TaskTemplate, merge_policy, read_templates
 from edgectl.config.yaml_parser import parse_yaml
+from edgectl.dataclass import dataclass
 from edgectl.errors import InputError, Problem, UsageError
 from edgectl.importers.ansible_inventory import read_ansible_hosts
 from edgectl.importers.host_lists import ImportedHost, build_inventory

@@ -3,13 +3,14 @@
 import difflib
 import tempfile
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from edgectl.config.load import load_tasks
 from edgectl.config.problems import Problems, Source
 from edgectl.config.source import read_source
 from edgectl.config.task_file_edit import edit_demand
+from edgectl.dataclass import dataclass
 from edgectl.errors import EdgectlError, FileError
 from edgectl.model.profile import ClassProfile
 from edgectl.model.resource import RESOURCES, TASK_RESOURCES, Resource

@@ -4,9 +4,10 @@ import contextlib
 import dataclasses
 import math
 from collections.abc import Callable, Generator, Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Self
 
+from edgectl.dataclass import dataclass
 from edgectl.errors import CoordinationError, EdgectlError, LockBusyError, WatchedError
 from edgectl.executor.dependencies import add_dependent_starts
 from edgectl.gateway.host_probe import ProbeOptions

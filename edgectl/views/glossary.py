@@ -5,9 +5,9 @@ from here.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 
+from edgectl.dataclass import dataclass
 from edgectl.model.resource import AFFINITY, CPU, RESOURCES, TERMS, Resource
 from edgectl.views.text import Cell, Row
 

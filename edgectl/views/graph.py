@@ -1,8 +1,8 @@
 """The task graph: tasks, their needs and their hosts, as Mermaid and as DOT."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 
+from edgectl.dataclass import dataclass
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.task import Tasks
 from edgectl.views.plan_sections import format_utility

@@ -1,9 +1,9 @@
 """Items of a listing of edges, robots, tasks or links, and their changes from one probe to the next."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 
+from edgectl.dataclass import dataclass
 from edgectl.formats.document import Document
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.resource import HOST_RESOURCES

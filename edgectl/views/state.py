@@ -1,8 +1,8 @@
 """State of tasks and hosts as phrases, and remarks on failed tasks and limits."""
 
 from collections.abc import Collection
-from dataclasses import dataclass
 
+from edgectl.dataclass import dataclass
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks

@@ -6,8 +6,9 @@ import re
 import shutil
 import textwrap
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple, TextIO
+
+from edgectl.dataclass import dataclass
 
 # "head" is a heading, "spare" that of a column which is left out where it has no value.
 _ANSI_STYLES = {

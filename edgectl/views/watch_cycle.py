@@ -1,8 +1,9 @@
 """Cycles of a watch: the line and the document of each, and the tally of the live view."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from edgectl.dataclass import dataclass
 from edgectl.formats.document import Document, without_none
 from edgectl.model.assignment import Reason
 from edgectl.model.cycle import Cycle

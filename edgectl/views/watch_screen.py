@@ -5,8 +5,8 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
+from edgectl.dataclass import dataclass
 from edgectl.model.cycle import Cycle
 from edgectl.model.plan import Step
 from edgectl.model.resource import CPU, HOST_RESOURCES, TASK_RESOURCES
