@@ -11,7 +11,7 @@ from edgectl.cli import console
 from edgectl.errors import UsageError
 
 if TYPE_CHECKING:
-    from edgectl.usecases.import_files import Imported
+    from edgectl.usecases.import_result import Imported
 
 _ASSIGNMENT = ":="
 
