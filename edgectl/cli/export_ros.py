@@ -1,7 +1,7 @@
 """export ros command."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
 
@@ -9,6 +9,11 @@ from edgectl.cli import console, options
 from edgectl.cli.completion import complete_hosts
 from edgectl.cli.signals import parse_every_option, return_on_signal
 from edgectl.cli.user_files import load_inputs
+
+if TYPE_CHECKING:
+    from edgectl.formats.document import Document
+    from edgectl.model.snapshot import Snapshot
+    from edgectl.usecases.fleet import Fleet
 
 _STALE_S, _STALE_PERIODS = 15.0, 3.0
 
@@ -39,17 +44,10 @@ def export_ros_command(
     """
     from edgectl.cli.connect import build_fleet, parse_duration_option
     from edgectl.export.ros_gateway import STATUS_TOPIC, run_ros_node
-    from edgectl.formats.document import Document
     from edgectl.gateway.host_probe import ProbeOptions
-    from edgectl.model.snapshot import Snapshot
     from edgectl.names import check_known_names
-    from edgectl.usecases.plan import find_fleet_shortages
     from edgectl.usecases.ros_gateway import choose_ros_settings, publish_fleet
     from edgectl.usecases.scrape import keep_sessions_open
-    from edgectl.views.output import render_view
-    from edgectl.views.output_format import OutputFormat
-    from edgectl.views.ros_diagnostics import encode_diagnostics
-    from edgectl.views.status import StatusView
 
     fleet = build_fleet(load_inputs(inventory, tasks))
     known = fleet.inventory
@@ -57,13 +55,6 @@ def export_ros_command(
     period = parse_every_option(every)
     how = ProbeOptions(timeout=parse_duration_option(timeout, "--timeout"))
     ros = choose_ros_settings(known.hosts, host)
-
-    def encode(seen: Snapshot) -> Document:
-        view = StatusView(seen, known, fleet.tasks, find_fleet_shortages(fleet, seen))
-        return {
-            "diagnostics": encode_diagnostics(seen, known, fleet.tasks),
-            "status": render_view(view, OutputFormat.JSON),
-        }
 
     with (
         return_on_signal(),
@@ -77,4 +68,19 @@ def export_ros_command(
         keep_sessions_open(fleet) as near,
     ):
         console.print_message(f"publishing /diagnostics and {STATUS_TOPIC}; press Ctrl-C to stop")
-        publish_fleet(near, node, encode, options=how, every=period)
+        publish_fleet(near, node, lambda seen: _encode_fleet(fleet, seen), options=how, every=period)
+
+
+def _encode_fleet(fleet: "Fleet", seen: "Snapshot") -> "Document":
+    """What is published of a probe: the diagnostics, and the document of ``edgectl status -o json``."""
+    from edgectl.usecases.plan import find_fleet_shortages
+    from edgectl.views.output import render_view
+    from edgectl.views.output_format import OutputFormat
+    from edgectl.views.ros_diagnostics import encode_diagnostics
+    from edgectl.views.status import StatusView
+
+    view = StatusView(seen, fleet.inventory, fleet.tasks, find_fleet_shortages(fleet, seen))
+    return {
+        "diagnostics": encode_diagnostics(seen, fleet.inventory, fleet.tasks),
+        "status": render_view(view, OutputFormat.JSON),
+    }

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
-from edgectl.cli import console
+from edgectl.cli import console, options
+from edgectl.cli.completion import complete_hosts
 from edgectl.errors import UsageError
 
 if TYPE_CHECKING:
-    from edgectl.usecases.import_files import Imported
+    from edgectl.usecases.import_result import Imported
 
 _ASSIGNMENT = ":="
 
@@ -32,9 +33,18 @@ _OutOption = Annotated[
 def import_ros_command(
     *,
     files: Annotated[
-        list[str],
-        Argument(metavar="FILE.. [ARG:=VALUE..]", help="Launch files, and their args.", show_default=False),
-    ],
+        list[str] | None,
+        Argument(metavar="[FILE.. [ARG:=VALUE..]]", help="Launch files, and args.", show_default=False),
+    ] = None,
+    live: Annotated[
+        list[str] | None,
+        Option(
+            "--live",
+            metavar="HOST",
+            autocompletion=complete_hosts,
+            help="Read the running graph; repeatable.",
+        ),
+    ] = None,
     group: Annotated[
         TaskUnit, Option("--group", metavar="UNIT", help="One task per node or per file.")
     ] = TaskUnit.NODE,
@@ -43,13 +53,18 @@ def import_ros_command(
         Option("--package-path", metavar="DIR", help="Where packages are; $ROS_PACKAGE_PATH, too."),
     ] = None,
     out: _OutOption = None,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    timeout: options.TimeoutOption = "20s",
 ) -> None:
     """Make tasks and an inventory of ROS launch files: .launch, .launch.xml, .launch.yaml, .launch.py.
 
     Nothing is started. A .launch.py is a program: it is run in a child process, without ROS. What is not
-    imported is named on stderr.
+    imported is named on stderr. With --live, the nodes that run on a host of the inventory and are not
+    edgectl's become tasks that are only measured (managed: false).
 
     Examples:
+        edgectl import ros --live edge1
         edgectl import ros bringup.launch rate:=2
         edgectl import ros bringup.launch.py --out lab
         edgectl import ros bringup.launch --group file
@@ -57,10 +72,17 @@ def import_ros_command(
     from edgectl.cli.user_files import refuse_exposed_files
     from edgectl.usecases.import_files import import_ros
 
+    if live:
+        if files or package_path or group is not TaskUnit.NODE:
+            raise UsageError("--live reads no files", hint="leave out the files, --group and --package-path")
+        _import_live(live, out, inventory, tasks, timeout)
+        return
+    files = files or []
     paths = [word for word in files if _ASSIGNMENT not in word]
     if not paths:
         raise UsageError(
-            "no launch file is named", hint="name it before the args: import ros FILE ARG:=VALUE"
+            "no launch file is named",
+            hint="name it before the args: import ros FILE ARG:=VALUE; or --live HOST",
         )
     arguments = dict(word.split(_ASSIGNMENT, 1) for word in files if _ASSIGNMENT in word)
     given = [str(path) for path in package_path or []]
@@ -70,6 +92,17 @@ def import_ros_command(
         paths, arguments, given, by_file=group is TaskUnit.FILE, refuse_exposed=refuse_exposed_files
     )
     _put(made, out)
+
+
+def _import_live(
+    names: list[str], out: Path | None, inventory: Path | None, tasks: list[Path] | None, timeout: str
+) -> None:
+    from edgectl.cli.connect import build_fleet, parse_duration_option
+    from edgectl.cli.user_files import load_inputs
+    from edgectl.usecases.import_live import import_live
+
+    fleet = build_fleet(load_inputs(inventory, tasks, needs_tasks=False))
+    _put(import_live(fleet, names, timeout=parse_duration_option(timeout, "--timeout")), out)
 
 
 def import_ssh_command(
@@ -129,16 +162,21 @@ def import_paper_command(
 def _put(made: "Imported", out: Path | None) -> None:
     """Print the task file, or the inventory if there are no tasks; with ``out``, write all files."""
     console.print_input_warnings(made.notes)
+    if not made.tasks and not made.inventory:
+        console.print_message("note: no node is new, so there is no task file")
+        return
     if out is None:
         console.print_text(made.tasks or made.inventory)
-        if made.tasks:
+        if made.tasks and made.inventory:
             console.print_message("note: the inventory is written with --out DIR")
         return
     from edgectl.cli.user_files import PUBLIC_FILE_MODE, make_directory, save_file
 
-    contents = {out / "inventories" / f"{made.name}.yaml": made.inventory}
-    if made.tasks:
-        contents[out / "tasks" / f"{made.name}.yaml"] = made.tasks
+    contents = {
+        out / folder / f"{made.name}.yaml": text
+        for folder, text in (("inventories", made.inventory), ("tasks", made.tasks))
+        if text
+    }
     for path in contents:
         if path.exists():
             raise UsageError(f"{path} exists", hint="remove it, or name another directory")
@@ -146,6 +184,6 @@ def _put(made: "Imported", out: Path | None) -> None:
         make_directory(path.parent)
         save_file(path, text, mode=PUBLIC_FILE_MODE)
         console.print_text(f"wrote {path}\n")
-    if made.tasks:
+    if len(contents) == 2:
         inventory, tasks = contents
         console.print_message(f"next: edgectl validate -i {inventory} -t {tasks}")

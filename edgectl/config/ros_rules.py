@@ -1,4 +1,4 @@
-"""What labs get wrong in ROS and what the files already show: settings that differ between hosts whose nodes
+"""Common mistakes with ROS that the files alone show: settings that differ between hosts whose nodes
 should meet, one node name twice, questions to a graph that no host has.
 """
 

@@ -1,4 +1,4 @@
-"""What a launch file says, independent of its generation and form: nodes, machines, parameters, notes."""
+"""Content of a launch file, independent of its generation and form: nodes, machines, parameters, notes."""
 
 import posixpath
 import re

@@ -1,4 +1,4 @@
-"""What a ``.launch.py`` starts, from the record of its child process (``standin/_edgectl_run.py``)."""
+"""Nodes of a ``.launch.py``, from the record of its child process (``standin/_edgectl_run.py``)."""
 
 import posixpath
 from collections.abc import Mapping, Sequence

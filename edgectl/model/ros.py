@@ -1,8 +1,11 @@
 """The ROS of a host: what its nodes need in order to find those of other hosts."""
 
 from collections.abc import Mapping
+from typing import Annotated
 
 from edgectl.dataclass import dataclass
+from edgectl.model.encoding import Bounds, EachAlone
+from edgectl.model.reported import Text
 
 # What a host itself fills in where a task starts: the address of this host on its way to the robots, that of
 # the task's robot, and the URI of the ROS 1 master.
@@ -67,3 +70,34 @@ class RosCheck:
             f"service {self.service} answers" if self.service else "",
         )
         return ", ".join(part for part in parts if part)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GraphNode:
+    """A node of a running graph, as one host sees it; without a name it is the master of ROS 1.
+
+    ``here``: whether it runs on that host, None where that is not known; ``address``: where else. ``pid``: 0
+    where its process is not known, for the reason ``fault``. ``task``: FLEET/HOST/TASK of the task to which
+    the process belongs. ``words``: what of its command line stays from start to start; ``alike``: how many
+    other processes have the same; ``named``: ``detect: {ros_node: ..}`` finds this process and no other.
+    """
+
+    name: Text
+    address: Text = ""
+    here: bool | None = None
+    pid: Annotated[int, Bounds(maximum=2.0**31)] = 0
+    fault: Text = ""
+    task: Text = ""
+    words: tuple[Text, ...] = ()
+    named: bool = False
+    alike: Annotated[int, Bounds(maximum=2.0**31)] = 0
+    publishes: tuple[Text, ...] = ()
+    subscribes: tuple[Text, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RosGraph:
+    """A running graph as one host sees it; so many nodes are ``left_out`` for which its reply has no room."""
+
+    nodes: Annotated[tuple[GraphNode, ...], EachAlone()]
+    left_out: Annotated[int, Bounds(maximum=2.0**31)] = 0

@@ -1,4 +1,4 @@
-"""What a host needs for a command in its ROS: set-up files, placeholders that it fills in, questions."""
+"""ROS in the request for a command: set-up files, placeholders that its host fills in, questions."""
 
 import re
 from collections.abc import Iterable, Mapping

@@ -1,4 +1,4 @@
-"""What hosts and the manager's record say of one task: which of its instances count, and how far it is."""
+"""Evidence about one task, from hosts and the manager's record: the instances that count, its progress."""
 
 from collections.abc import Iterable, Mapping
 

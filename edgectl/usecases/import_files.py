@@ -1,27 +1,16 @@
-"""Imports of other tools' files; ``.launch.py`` runs in a child process, and the result is checked."""
+"""Imports of other tools' files: launch files, host lists, the paper's requirements."""
 
-import contextlib
 import glob
-import json
 import os
 import re
-import secrets
-import signal
-import subprocess
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
-from edgectl.config.expansion import expand_templates
-from edgectl.config.inventory_file import read_inventory
 from edgectl.config.problems import Mark, ProblemCode, Problems, Source
-from edgectl.config.source import decode_source, read_source
-from edgectl.config.task_file import TaskTemplate, merge_policy, read_templates
+from edgectl.config.source import read_source
 from edgectl.config.yaml_parser import parse_yaml
-from edgectl.dataclass import dataclass
 from edgectl.errors import InputError, Problem, UsageError
 from edgectl.importers.ansible_inventory import read_ansible_hosts
 from edgectl.importers.host_lists import ImportedHost, build_inventory
@@ -35,30 +24,16 @@ from edgectl.importers.ros_tasks import build_files, to_host_name
 from edgectl.importers.ssh_hosts import list_host_aliases, select_aliases
 from edgectl.importers.yaml_text import render_file
 from edgectl.transport.ssh_config import CONFIG_OVERRIDE_VARIABLE, SYSTEM_CONFIG, get_home_dir
+from edgectl.usecases.import_result import Imported, finish_import, name_fleet
+from edgectl.usecases.launch_program import run_launch_program, show_given_path
+from edgectl.usecases.ros_packages import PackageIndex
 
 RefuseExposed: TypeAlias = Callable[[Sequence[Problem]], None]
-PYTHON_TIMEOUT_S = 20.0
-_MAX_RECORD_BYTES = 2**24
-_MAX_PACKAGE_DEPTH = 8
-_MAX_DIRECTORIES = 50_000
-_IGNORED_DIRECTORIES = {"build", "log", "node_modules", "__pycache__"}
-_IGNORE_FILES = ("CATKIN_IGNORE", "COLCON_IGNORE", "AMENT_IGNORE")
-_PACKAGE_NAME = re.compile(r"<name>\s*([\w.-]+)\s*</name>")
 _ROS1_NODE = re.compile(r"<(?:node|test)\b[^<>]*?\stype\s*=")
 _ROS2_NODE = re.compile(
     r"<(?:node|executable|node_container|let|push[_-]ros[_-]namespace)\b[^<>]*?\s(?:exec|cmd|value|namespace)\s*="
 )
 _PASSWORD = re.compile(r"""(\b\w*pass(?:word)?\w*\s*[=:]\s*)("[^"]*"|'[^']*'|[^\s,}]+)""")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Imported:
-    """Texts of the new files, empty where there is none; ``name`` of both, and what is not in them."""
-
-    name: str
-    inventory: str
-    tasks: str
-    notes: tuple[Problem, ...]
 
 
 def import_ros(
@@ -79,7 +54,7 @@ def import_ros(
     launch = read_launch_files(paths, arguments, package_path, by_file=by_file, refuse_exposed=refuse_exposed)
     name = to_host_name(Path(paths[0]).name.partition(".")[0])
     made = build_files(launch, ", ".join(Path(path).name for path in paths), name_fleet(name))
-    return _finish(name, render_file(made.inventory), render_file(made.tasks), launch.notes)
+    return finish_import(name, render_file(made.inventory), render_file(made.tasks), launch.notes)
 
 
 def read_launch_files(
@@ -96,7 +71,7 @@ def read_launch_files(
         InputError: everything that is wrong with the files.
     """
     launch = Launch(problems=Problems())
-    packages = _PackageIndex(package_path)
+    packages = PackageIndex(package_path)
     workspace = Workspace(
         read=_read_file, find_package=packages.find, find_owner=packages.find_owner, env=dict(os.environ)
     )
@@ -143,7 +118,7 @@ def import_paper(path: str) -> Imported:
     problems.check()
     if made is None:
         raise UsageError(f"{path} is empty")
-    return _finish(name, render_file(made.inventory), render_file(made.tasks), launch.notes)
+    return finish_import(name, render_file(made.inventory), render_file(made.tasks), launch.notes)
 
 
 def import_ansible(path: str) -> Imported:
@@ -212,34 +187,8 @@ def list_ssh_aliases() -> list[str]:
     )
 
 
-def name_fleet(name: str) -> str:
-    """A fleet name that nobody else has on the same hosts."""
-    return f"{name}-{secrets.token_hex(3)}"
-
-
 def _finish_hosts(hosts: Sequence[ImportedHost], title: str, name: str, notes: Sequence[Problem]) -> Imported:
-    return _finish(name, render_file(build_inventory(hosts, title, name_fleet(name))), "", notes)
-
-
-def _finish(name: str, inventory: str, tasks: str, notes: Sequence[Problem]) -> Imported:
-    return Imported(
-        name=name, inventory=inventory, tasks=tasks, notes=(*notes, *_check_result(name, inventory, tasks))
-    )
-
-
-def _check_result(name: str, inventory: str, tasks: str) -> list[Problem]:
-    """What ``edgectl validate`` will refuse: only the user can say what is meant there."""
-    problems = Problems()
-    templates: dict[str, TaskTemplate] = {}
-    source = decode_source(f"inventories/{name}.yaml", inventory.encode(), problems)
-    node = parse_yaml(source, problems) if source is not None else None
-    fleet = read_inventory(node, problems) if node is not None else None
-    source = decode_source(f"tasks/{name}.yaml", tasks.encode(), problems) if tasks else None
-    node = parse_yaml(source, problems) if source is not None else None
-    if node is not None and fleet is not None:
-        merge_policy([read_templates(node, problems, templates, name)], problems)
-        expand_templates(templates, fleet, problems)
-    return [replace(problem, warning=True) for problem in problems.errors]
+    return finish_import(name, render_file(build_inventory(hosts, title, name_fleet(name))), "", notes)
 
 
 def _read_file(path: str, problems: Problems) -> Source | None:
@@ -267,77 +216,12 @@ def _detect_version(path: str) -> int:
     return 2 if path.endswith(".launch.xml") else 1
 
 
-def _add_whole_file(
-    path: str, arguments: Mapping[str, str], packages: "_PackageIndex", launch: Launch
-) -> None:
+def _add_whole_file(path: str, arguments: Mapping[str, str], packages: PackageIndex, launch: Launch) -> None:
     if _read_file(path, launch.problems) is not None:
         version = 2 if path.endswith(".py") else _detect_version(path)
         owner = packages.find_owner(path)
         place = str(Path(path).absolute())
         add_launch_file(place, version, owner[0] if owner else "", arguments, launch)
-
-
-class _PackageIndex:
-    """Directories of packages below the given ones, found when the first is asked for."""
-
-    def __init__(self, roots: Sequence[str]) -> None:
-        self.roots = roots
-        self.owners: dict[str, str] = {}
-        self._found: dict[str, str] | None = None
-
-    @property
-    def directories(self) -> dict[str, str]:
-        """Absolute directory of each package."""
-        if self._found is None:
-            self._found = {}
-            for root in self.roots:
-                for name, directory in _list_packages(Path(root)):
-                    self._found.setdefault(name, directory)
-        return {**self.owners, **self._found}
-
-    def find(self, package: str) -> str | None:
-        """The directory of a package, None if it is not here."""
-        return self.directories.get(package)
-
-    def find_owner(self, file: str) -> tuple[str, str] | None:
-        """The package that holds ``file``, and the path of the file in there."""
-        path = Path(os.path.abspath(file))  # noqa: PTH100 - links stay, and dots go
-        for directory in path.parents:
-            name = _read_package_name(directory)
-            if name:
-                self.owners[name] = str(directory)
-                return name, str(path.relative_to(directory))
-        return None
-
-
-def _list_packages(root: Path) -> "list[tuple[str, str]]":
-    found = []
-    start = len(root.absolute().parts)
-    for count, (where, inner, names) in enumerate(os.walk(root.absolute())):
-        directory = Path(where)
-        if count > _MAX_DIRECTORIES:
-            break
-        if any(name in names for name in _IGNORE_FILES):
-            inner.clear()
-            continue
-        if "package.xml" in names and (name := _read_package_name(directory)):
-            found.append((name, where))
-            inner.clear()
-        if len(directory.parts) - start >= _MAX_PACKAGE_DEPTH:
-            inner.clear()
-        inner[:] = sorted(
-            each for each in inner if each not in _IGNORED_DIRECTORIES and not each.startswith(".")
-        )
-    return found
-
-
-def _read_package_name(directory: Path) -> str:
-    try:
-        text = (directory / "package.xml").read_text(errors="replace")
-    except OSError:
-        return ""
-    found = _PACKAGE_NAME.search(text)
-    return found[1] if found else ""
 
 
 def _refuse_exposed_program(path: str, refuse_exposed: RefuseExposed) -> None:
@@ -347,7 +231,7 @@ def _refuse_exposed_program(path: str, refuse_exposed: RefuseExposed) -> None:
 
 
 def _run_python(
-    path: str, arguments: Mapping[str, str], packages: _PackageIndex, workspace: Workspace, launch: Launch
+    path: str, arguments: Mapping[str, str], packages: PackageIndex, workspace: Workspace, launch: Launch
 ) -> None:
     """Evaluate a ``.launch.py`` in a child process with bounded time and memory."""
     if _read_file(path, launch.problems) is None:
@@ -355,79 +239,5 @@ def _run_python(
     packages.find_owner(path)
     full = str(Path(path).absolute())
     record = run_launch_program(full, arguments, packages.directories)
-    shown = _show_paths(record, full, path)
+    shown = show_given_path(record, full, path)
     add_python_launch(shown, path, arguments, workspace, packages.directories, launch)
-
-
-def run_launch_program(
-    path: str,
-    arguments: Mapping[str, str],
-    packages: Mapping[str, str],
-    *,
-    timeout_s: float = PYTHON_TIMEOUT_S,
-) -> Mapping[str, Any]:
-    """The record of a child process that evaluates the file ``path`` (an absolute path).
-
-    It has the stand-ins of launch and launch_ros, at most 1 GiB of memory and ``timeout_s`` seconds. It is
-    the user's own program and has the user's own rights.
-    """
-    root = Path(str(files("edgectl"))).parent
-    request = {
-        "file": path,
-        "arguments": dict(arguments),
-        "packages": dict(packages),
-        "root": str(root),
-        # The rule for the file itself is the caller's; this is for the files that it includes.
-        "runs_exposed": os.environ.get("EDGECTL_INSECURE_FILES", "0") not in ("", "0"),
-        "path": [part for part in os.environ.get("PYTHONPATH", "").split(os.pathsep) if part],
-    }
-    program = root / "edgectl" / "importers" / "standin" / "_edgectl_run.py"
-    child = subprocess.Popen(
-        [sys.executable, "-I", "-B", str(program)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
-    try:
-        reply, _ = child.communicate(json.dumps(request).encode(), timeout=timeout_s)
-    except subprocess.TimeoutExpired:
-        return _describe_fault(
-            path,
-            f"the file did not end within {timeout_s:g} s",
-            "remove what waits, or import with --group file",
-        )
-    finally:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(child.pid, signal.SIGKILL)
-        child.wait()
-        for stream in (child.stdin, child.stdout):
-            if stream is not None:
-                with contextlib.suppress(OSError):
-                    stream.close()
-    try:
-        record: Mapping[str, Any] = json.loads(reply[: _MAX_RECORD_BYTES + 1])
-    except ValueError:
-        how = "was ended: it took too long" if child.returncode == -signal.SIGXCPU else "ended by itself"
-        return _describe_fault(
-            path, f"the file {how} before it returned a description", "import with --group file"
-        )
-    return record
-
-
-def _describe_fault(path: str, message: str, hint: str) -> Mapping[str, Any]:
-    return {"fault": {"file": path, "line": 1, "message": message, "hint": hint}}
-
-
-def _show_paths(value: Any, full: str, given: str) -> Any:  # noqa: ANN401 - any JSON
-    """The record with the launch file named as the user did, where it states places."""
-    if isinstance(value, Mapping):
-        return {
-            key: given
-            if key == "file" and each == full and value.get("kind") != "include"
-            else [given if place == full else place for place in each]
-            if key == "place"
-            else _show_paths(each, full, given)
-            for key, each in value.items()
-        }
-    return [_show_paths(each, full, given) for each in value] if isinstance(value, list) else value

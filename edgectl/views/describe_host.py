@@ -19,7 +19,7 @@ from edgectl.views.rows import encode_host_row
 from edgectl.views.state import render_host_status
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row
 from edgectl.views.top_tasks import render_task_rows_of_host
-from edgectl.views.usage import render_capacity_age, render_usage_share
+from edgectl.views.usage import format_traffic, render_capacity_age, render_usage_share
 
 _LINK_HEAD = head(
     "robot", "capacity_bytes_per_s", "capacity_source", "capacity_age_s", "nominal_bytes_per_s",
@@ -183,7 +183,10 @@ def _render_host_usage_rows(stated: Host, sample: HostSample, look: RenderOption
                 render_usage_share(
                     ResourceUsage(capacity=link.capacity_bytes_per_s, used=link.used_bytes_per_s), 1.0, look
                 ),
-                f"{format_rate(link.used_bytes_per_s)} of {format_rate(link.capacity_bytes_per_s)}",
+                (
+                    f"{format_traffic(format_rate(link.used_bytes_per_s), link.partial)}"
+                    f" of {format_rate(link.capacity_bytes_per_s)}"
+                ),
             )
             for robot, link in sample.links.items()
         ),
@@ -198,7 +201,7 @@ def _render_host_link_rows(sample: HostSample) -> list[Row]:
             link.capacity_source.value,
             render_capacity_age(link),
             format_rate(link.nominal_bytes_per_s),
-            format_rate(link.used_bytes_per_s),
+            format_traffic(format_rate(link.used_bytes_per_s), link.partial),
             "-" if link.rtt_ms is None else f"{link.rtt_ms:.1f}ms",
         )
         for robot, link in sample.links.items()

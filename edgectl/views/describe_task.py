@@ -24,6 +24,7 @@ from edgectl.views.text import PLAIN, Cell, RenderOptions, Row
 from edgectl.views.usage import (
     Amounts,
     format_or_dash,
+    format_traffic,
     render_difference,
     subtract_demand,
 )
@@ -247,6 +248,8 @@ def _render_usage_rows(sample: TaskSample, demand: Amounts) -> list[Row]:
         if resource.declared_only and name not in demand:
             continue
         used = "-" if resource.declared_only else show(sample.used[name])
+        if resource.per_link:
+            used = format_traffic(used, sample.partial)
         difference = render_difference(excess.get(name), demand.get(name), show)
         rows.append((name, used, format_or_dash(demand.get(name), show), difference))
     return [head("resource", "used", "demand", "excess"), *rows] if sample.state.alive else []

@@ -22,7 +22,7 @@ from edgectl.views.plan_sections import list_snapshot_notes
 from edgectl.views.rows import encode_host_row
 from edgectl.views.state import render_host_status
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
-from edgectl.views.usage import describe_capacity
+from edgectl.views.usage import describe_capacity, format_traffic
 
 _USED_COLUMNS = tuple(f"{each.name}.used_{each.unit.name}" for each in HOST_RESOURCES)
 
@@ -110,11 +110,8 @@ def _format_link_share(robot: str, link: LinkSample) -> str:
     share = (
         f" {link.used_bytes_per_s / link.capacity_bytes_per_s:.0%}" if link.capacity_bytes_per_s else " down"
     )
-    return (
-        f"{robot}{share}"
-        + (f" {link.rtt_ms:.1f}ms" if link.rtt_ms is not None else "")
-        + (f" (partial: {link.partial})" if link.partial else "")
-    )
+    rtt = f" {link.rtt_ms:.1f}ms" if link.rtt_ms is not None else ""
+    return format_traffic(f"{robot}{share}{rtt}", link.partial)
 
 
 def _render_device_row(name: str, host: HostSample) -> Row:
@@ -132,8 +129,8 @@ def _render_device_row(name: str, host: HostSample) -> Row:
 
 
 def _format_link_details(robot: str, link: LinkSample) -> str:
-    partial = f" (partial: {link.partial})" if link.partial else ""
-    return f"{robot} {format_rate(link.used_bytes_per_s)}{partial} of {describe_capacity(link)}"
+    used = format_traffic(format_rate(link.used_bytes_per_s), link.partial)
+    return f"{robot} {used} of {describe_capacity(link)}"
 
 
 def _format_interface(name: str, sample: InterfaceSample) -> str:

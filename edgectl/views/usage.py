@@ -95,6 +95,11 @@ def subtract_demand(sample: TaskSample, demand: Amounts) -> Amounts:
     }
 
 
+def format_traffic(text: str, partial: str) -> str:
+    """Traffic with what it lacks (``partial``, empty for nothing)."""
+    return f"{text} (partial: {partial})" if partial else text
+
+
 def format_or_dash(value: float | None, show: Callable[[float], str]) -> str:
     """A quantity, or a dash."""
     return "-" if value is None else show(value)

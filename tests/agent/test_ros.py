@@ -18,8 +18,10 @@ from typing import Any
 import pytest
 
 from edgectl.agent.link.errors import RefusalError
+from edgectl.agent.measure import detection, proc
 from edgectl.agent.ros import local
 from edgectl.agent.supervise.alive import AliveCheck
+from edgectl.errors import RefusedError
 from tests import ros1_peer
 from tests.agent.conftest import AgentHost, eventually, is_running
 from tests.pace import patience
@@ -218,3 +220,75 @@ def test_a_node_that_is_started_again_and_again_is_not_alive() -> None:
     judged = [check._judge(answer) for answer in answers]
     assert judged[:5] == [""] * 5
     assert judged[5] == "node /slam was started 3 times within 60 s: is its name used twice?"
+
+
+def test_the_nodes_of_a_graph_are_listed_with_their_processes(
+    host: AgentHost, master: Master, node: subprocess.Popen[bytes]
+) -> None:
+    """One that was killed is still registered; one at another address is not asked; one of a task says so."""
+    host.start("own", f"{NODE} /own /data", env={"ROS_MASTER_URI": master.uri})
+    eventually(lambda: "/own/ask" in master.services)
+    master.nodes["/far"] = "http://192.0.2.7:1/"
+    master.publishers["/far_data"] = ["/far"]
+    with subprocess.Popen([sys.executable, "-S", ros1_peer.__file__, master.uri, "/dead"]) as dead:
+        eventually(lambda: "/dead/ask" in master.services)
+        dead.kill()
+    answer = host.ask("graph", version=1, ros=None, env={"ROS_MASTER_URI": master.uri}, timeout_s=10.0)
+    seen = {each["name"]: each for each in answer["nodes"]}
+    assert sorted(seen) == ["", "/dead", "/far", "/own", "/talker"]
+    talker = seen["/talker"]
+    assert (talker["pid"], talker["here"], talker["task"]) == (node.pid, True, "")
+    assert talker["words"] == [sys.executable, "-S", ros1_peer.__file__, master.uri, "/talker"]
+    assert (talker["named"], talker["alike"], talker["publishes"]) == (False, 0, ["/chatter"])
+    assert seen["/own"]["task"] == f"{host.fleet}/{host.name}/own"
+    assert (seen["/far"]["here"], seen["/far"]["address"], seen["/far"]["pid"]) == (False, "192.0.2.7", 0)
+    assert (seen["/dead"]["pid"], seen["/dead"]["fault"]) == (0, "does not answer: Connection refused")
+
+
+def test_a_graph_without_a_master_is_refused(host: AgentHost) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        gone = f"http://127.0.0.1:{server.getsockname()[1]}"
+    with pytest.raises(RefusedError, match=f"master {gone}: Connection refused"):
+        host.ask("graph", version=1, ros=None, env={"ROS_MASTER_URI": gone}, timeout_s=10.0)
+
+
+@pytest.mark.parametrize(
+    ("rule", "words", "namespace", "matches"),
+    [
+        ("slam", ["__name:=slam"], None, True),
+        ("slam", ["__name:=slam"], "robot1", True),
+        ("/slam", ["__name:=slam"], None, True),
+        ("/slam", ["__name:=slam"], "robot1", False),
+        ("/robot1/slam", ["__name:=slam"], "robot1", True),
+        ("/robot1/slam", ["__name:=slam"], "/robot1/", True),
+        ("/robot1/slam", ["__name:=slam"], None, False),
+        ("/robot1/slam", ["__name:=slam", "__ns:=/robot1"], "robot2", True),
+        ("/robot1/slam", ["--ros-args", "-r", "__node:=slam", "-r", "__ns:=/robot1"], None, True),
+        ("/slam", ["__name:=slammer"], None, False),
+        ("/sleeper", [], None, True),
+        ("/sleeper", ["__name:=other"], None, False),
+    ],
+)
+def test_a_rule_for_a_node_compares_name_and_namespace(
+    tmp_path: Path,
+    rule: str,
+    words: list[str],
+    namespace: "str | None",
+    matches: bool,
+) -> None:
+    program = tmp_path / "sleeper.py"
+    program.write_text("import time; time.sleep(1000)")
+    env = {name: value for name, value in os.environ.items() if name != "ROS_NAMESPACE"}
+    env |= {"ROS_NAMESPACE": namespace} if namespace else {}
+    with subprocess.Popen([sys.executable, str(program), *words], env=env) as process:
+        try:
+            argv = eventually(
+                lambda: (
+                    found
+                    if (found := proc.read_cmdline(process.pid))[-1:] == [str(program), *words][-1:]
+                    else None
+                )
+            )
+            assert detection.is_match({"ros_node": rule}, process.pid, argv) is matches
+        finally:
+            process.kill()

@@ -4,6 +4,7 @@ Most run in this process, which saves the start of Python; those that need a ter
 processes of their own.
 """
 
+import contextlib
 import os
 import shlex
 import shutil
@@ -171,7 +172,13 @@ def test_every_example_of_files_runs(
         shutil.copy(file, site)
     monkeypatch.setenv("EDGECTL_SSH_CONFIG", str(site / "ssh_config"))
     monkeypatch.chdir(site)
-    assert in_this_process(line, run) == 0
+    with contextlib.ExitStack() as stack:
+        if "--live" in line:
+            master = stack.enter_context(serve_master())
+            [inventory] = (site / "inventories").glob("*.yaml")
+            ros = f'defaults:\n  ros: {{version: 1, master: "{master.uri}"}}\n'
+            inventory.write_text(inventory.read_text().replace("defaults:\n", ros))
+        assert in_this_process(line, run) == 0
 
 
 @pytest.mark.timeout(900)

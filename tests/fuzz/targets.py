@@ -25,9 +25,13 @@ from edgectl.experiments.files.run_directory import load_run, save_run, save_tri
 from edgectl.experiments.ssim import MapImage, compute_ssim
 from edgectl.formats.document import dump_document
 from edgectl.formats.kinds import MANAGER_STATE_KIND, PLAN_KIND
+from edgectl.gateway.fanout import HostReply
 from edgectl.gateway.fetch import fetch_file
 from edgectl.gateway.host_facts import SentRequest, decode_host_facts
 from edgectl.gateway.probe_reply import ReplyContext, decode_host_sample
+from edgectl.gateway.ros_graph import decode_graph
+from edgectl.importers.ros_live import build_live_tasks
+from edgectl.importers.yaml_text import render_file
 from edgectl.model.inventory import Host, Role
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action
@@ -77,6 +81,7 @@ from tests.fuzz.hostile_fleet import run_against_liar
 from tests.fuzz.mutate import damage_seed, mutate_seed
 from tests.gateway.test_decode import a_document, a_task
 from tests.gateway.test_facts import DOCUMENT as FACTS
+from tests.gateway.test_ros_graph import DOCUMENT as GRAPH
 from tests.importers.test_commands import HOSTS_INI, REQUIREMENTS
 from tests.importers.test_launch_files import CORPUS
 
@@ -136,6 +141,7 @@ def build_targets(directory: Path) -> Iterator[list[Target]]:
         Target("task's metrics", [METRICS], _read_as_metrics),
         Target("fetched piece", [json.dumps(PIECE).encode()], _read_as_piece),
         Target("doctor's answer", [json.dumps(FACTS).encode()], _read_as_facts),
+        Target("graph's answer", [json.dumps(GRAPH).encode()], _read_as_graph),
         Target("snapshot", [TEXTS["snapshot"].encode()], _read_through_file(path, load_snapshot)),
         Target("plan", [TEXTS["plan"].encode()], _read_through_file(path, load_plan)),
         Target(
@@ -376,6 +382,15 @@ def _read_as_facts(data: bytes) -> object:
         ReplyContext(host=an_edge("edge1"), answered_at=NOW),
         SentRequest(began=NOW, addresses={"robot1": "10.0.0.21"}),
     )
+
+
+def _read_as_graph(data: bytes) -> object:
+    host = an_edge("edge1")
+    document = call_agent(
+        _AnsweringSession(_frame_reply(data)), {"op": "graph", "host": "edge1"}, timeout=1.0
+    )
+    graph = decode_graph(HostReply(host=host, document=document, seconds=0.1))
+    return render_file(build_live_tasks({"edge1": graph}, "lab", ["robot1"], {})[0])
 
 
 # -- files of the manager

@@ -8,13 +8,9 @@ import pytest
 
 from edgectl.cli.user_files import refuse_exposed_files
 from edgectl.errors import InputError, Problem
-from edgectl.usecases.import_files import (
-    Imported,
-    import_ansible,
-    import_paper,
-    import_ros,
-    run_launch_program,
-)
+from edgectl.usecases.import_files import import_ansible, import_paper, import_ros
+from edgectl.usecases.import_result import Imported
+from edgectl.usecases.launch_program import run_launch_program
 from tests.cli.inprocess import edgectl
 
 NODE = '<node pkg="topic_tools" type="relay" name="relay"/>'

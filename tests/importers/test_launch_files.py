@@ -11,7 +11,8 @@ import pytest
 
 from edgectl.cli.user_files import refuse_exposed_files
 from edgectl.config.load import load_inventory_and_tasks
-from edgectl.usecases.import_files import Imported, import_ros
+from edgectl.usecases.import_files import import_ros
+from edgectl.usecases.import_result import Imported
 
 CORPUS = Path(__file__).parent / "launch"
 ARGUMENTS = {

@@ -5,6 +5,7 @@ The listener writes to its file how many messages it has heard, and from which p
 
 import os
 import sys
+import threading
 from pathlib import Path
 
 import rospy  # type: ignore[import-not-found]
@@ -23,13 +24,14 @@ def talk(name: str) -> None:
 
 def hear(name: str, path: str) -> None:
     """Count what is heard."""
-    heard = 0
+    heard, guard = 0, threading.Lock()
 
     def count(message: String) -> None:
         nonlocal heard
-        heard += 1
-        Path(path + ".new").write_text(f"{heard} {message.data}")
-        Path(path + ".new").replace(path)
+        with guard:  # each publisher has a thread of its own
+            heard += 1
+            Path(path + ".new").write_text(f"{heard} {message.data}")
+            Path(path + ".new").replace(path)
 
     rospy.init_node(name)
     rospy.Subscriber("/counted", String, count)

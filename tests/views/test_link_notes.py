@@ -6,6 +6,8 @@ from edgectl.cli.exit_codes import of_status
 from edgectl.errors import ExitCode
 from edgectl.model.snapshot import CapacitySource
 from edgectl.rules.cut_off import list_cut_off_tasks
+from edgectl.views.describe_host import HostDetailsView
+from edgectl.views.describe_task import TaskDetailsView
 from edgectl.views.plan_sections import list_down_link_notes, list_link_notes, list_partial_notes
 from edgectl.views.snapshot import SnapshotView
 from edgectl.views.status import StatusView
@@ -70,3 +72,14 @@ def test_a_link_that_is_down_is_noted_where_the_robot_answers_the_manager() -> N
     answering = replace(fleet, hosts={name: fleet.hosts[name] for name in ("edge1", "robot1", "robot3")})
     assert of_status(seen, answering, tasks) is ExitCode.PARTLY
     assert of_status(whole, answering, tasks) is ExitCode.DONE
+
+
+def test_details_of_a_host_and_of_a_task_say_what_traffic_lacks() -> None:
+    unseen = replace(a_link(used=1e6), partial="udp unseen")
+    run = replace(a_run(), partial="udp unseen")
+    snapshot = a_snapshot(edge1=a_sample(links={"robot1": unseen}, tasks={"slam": run}))
+    fleet, tasks = an_inventory(an_edge("edge1"), a_robot("robot1")), some_tasks(a_task("slam"))
+    host = HostDetailsView("edge1", snapshot, fleet, tasks, None).table()
+    assert "1.0MB/s (partial: udp unseen) of 10.0MB/s" in host
+    assert host.count("(partial: udp unseen)") == 2
+    assert "(partial: udp unseen)" in TaskDetailsView("slam", snapshot, fleet, tasks, None, None).table()

@@ -12,6 +12,7 @@ OP_CHECK = "check"
 OP_DOCTOR = "doctor"
 OP_FETCH = "fetch"
 OP_FOLLOW = "follow"
+OP_GRAPH = "graph"
 OP_LEASE = "lease"
 OP_LOGS = "logs"
 OP_MARK = "mark"
@@ -46,6 +47,7 @@ REQUEST_KEYS = {
     OP_DOCTOR: ("links", "prelude", "ros", "packages", "env", "timeout_s"),
     OP_FETCH: ("task", "workdir", "file", "most", "offset"),
     OP_FOLLOW: ("task", "tail"),
+    OP_GRAPH: ("version", "ros", "env", "timeout_s"),
     OP_LEASE: ("action", "lease", "end_watch"),
     OP_LOGS: ("task", "tail"),
     OP_MARK: ("task", "instance", "ready"),

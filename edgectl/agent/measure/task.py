@@ -2,12 +2,10 @@
 tasks.
 """
 
-import os
-
 from ..link import protocol
 from ..link.fast_json import Document
 from ..supervise import liveness, lockfile, state_dir, status
-from . import proc, sockets
+from . import detection, proc, sockets
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -52,7 +50,7 @@ def _detect_tasks(
 ) -> "dict[str, TaskProcesses]":
     if not detect:
         return {}
-    free = set(table) - _find_own_ancestors(table)
+    free = set(table) - detection.find_own_ancestors(table)
     for group in own.values():
         free -= group.pids | {group.above}
     found = {}
@@ -63,7 +61,7 @@ def _detect_tasks(
         pids = {
             pid
             for pid in free
-            if _matches_pattern(rule, proc.read_cmdline(pid)) and not liveness.has_cookie(pid)
+            if detection.is_match(rule, pid, proc.read_cmdline(pid)) and not liveness.has_cookie(pid)
         }
         if pids:
             first = min(pids, key=lambda pid: (table[pid].ticks, pid))
@@ -208,32 +206,6 @@ def build_traffic_entry(rates: Document) -> Document:
 
 def _is_internal(flow: "Flow") -> bool:
     return flow.remote == flow.local or flow.remote == "::1" or flow.remote.startswith("127.")
-
-
-def _matches_pattern(rule: Document, argv: "list[str]") -> bool:
-    if rule.get("ros_node"):
-        node = str(rule["ros_node"]).lstrip("/")
-        return any(
-            word.lstrip("_") in (":=" + node, "name:=" + node, "node:=" + node) for word in argv
-        ) or _is_ros_node(node, argv)
-    import re
-
-    return bool(rule.get("cmdline")) and re.search(str(rule["cmdline"]), " ".join(argv)) is not None
-
-
-def _is_ros_node(node: str, argv: "list[str]") -> bool:
-    """Whether the program, or the script that an interpreter runs, has the node's name."""
-    return any(os.path.splitext(os.path.basename(word))[0] == node for word in argv[:2])
-
-
-def _find_own_ancestors(table: "dict[int, proc.Process]") -> "set[int]":
-    """Find the agent and its ancestors: the command line of a login shell or sshd may match a pattern too."""
-    found: "set[int]" = set()
-    pid = os.getpid()
-    while pid in table and pid not in found:
-        found.add(pid)
-        pid = table[pid].ppid
-    return found
 
 
 def _build_unmanaged_entry(first: proc.Process) -> Document:

@@ -1,4 +1,4 @@
-"""What this host has of ROS, for ``edgectl doctor``."""
+"""Facts about ROS on this host, for ``edgectl doctor``."""
 
 import os
 

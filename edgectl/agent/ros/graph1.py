@@ -17,8 +17,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Mapping
 
-_CALLER = "/edgectl"
-_CALL_S = 3.0
+CALLER = "/edgectl"
+CALL_S = 3.0
 _MAX_HEADER_BYTES = 1 << 16
 _LISTEN = "0A"
 
@@ -45,10 +45,10 @@ def find_fault(
     return "", process
 
 
-def _ask_master(master: str, method: str, params: "list[str]", deadline: float) -> "object":
+def ask_master(master: str, method: str, params: "list[str]", deadline: float) -> "object":
     """Ask the master. CallError where it does not answer, or says no."""
     try:
-        return xmlrpc.call_ros(master, method, [_CALLER, *params], min(deadline, time.monotonic() + _CALL_S))
+        return xmlrpc.call_ros(master, method, [CALLER, *params], min(deadline, time.monotonic() + CALL_S))
     except CallError as error:
         raise CallError("master %s: %s" % (master, error)) from error
 
@@ -56,11 +56,11 @@ def _ask_master(master: str, method: str, params: "list[str]", deadline: float) 
 def _check_node(node: str, master: str, env: "Mapping[str, str]", deadline: float) -> "object":
     """Check that the node lives, and is one of the task; returns its process id."""
     try:
-        uri = str(_ask_master(master, "lookupNode", [node], deadline))
+        uri = str(ask_master(master, "lookupNode", [node], deadline))
     except CallError as error:
         raise CallError("node %s is not registered: %s" % (node, error)) from error
     try:
-        pid = xmlrpc.call_ros(uri, "getPid", [_CALLER], min(deadline, time.monotonic() + _CALL_S))
+        pid = xmlrpc.call_ros(uri, "getPid", [CALLER], min(deadline, time.monotonic() + CALL_S))
     except CallError as error:
         raise CallError(
             "node %s is registered at %s, which does not answer: %s" % (node, uri, error)
@@ -77,7 +77,7 @@ def _check_owner(node: str, uri: str, pid: int, mark: str) -> None:
     found = local.resolve_addresses([host])
     if found and not local.is_own_address(found[0]):
         raise CallError("node %s runs at %s, and not as a process of this task" % (node, uri))
-    if proc.has_environ_entry(pid, b"EDGECTL_TASK_DIR=" + os.fsencode(mark)) or not _listens(pid, port):
+    if proc.has_environ_entry(pid, b"EDGECTL_TASK_DIR=" + os.fsencode(mark)) or not is_listening(pid, port):
         # A process in a container has another pid there, and the one of that number here no such socket.
         return
     raise CallError(
@@ -85,7 +85,7 @@ def _check_owner(node: str, uri: str, pid: int, mark: str) -> None:
     )
 
 
-def _listens(pid: int, port: int) -> bool:
+def is_listening(pid: int, port: int) -> bool:
     """Whether process ``pid`` is seen to listen on the TCP port."""
     inodes = sockets.list_socket_inodes(pid)
     wanted = "%04X" % port
@@ -100,7 +100,7 @@ def _listens(pid: int, port: int) -> bool:
 
 def _check_topic(topic: str, within_s: float, master: str, deadline: float) -> None:
     """Read one message, or more of its bytes than none, from any publisher of the topic."""
-    state = _ask_master(master, "getSystemState", [], deadline)
+    state = ask_master(master, "getSystemState", [], deadline)
     publishers = state[0] if isinstance(state, list) and state else []
     nodes = [str(node) for name, names in publishers if name == topic for node in names]
     if not nodes:
@@ -141,8 +141,8 @@ def _hear_any(opened: "list[sockets.socket.socket]", until: float) -> bool:
 
 def _subscribe(topic: str, node: str, master: str, deadline: float) -> "sockets.socket.socket":
     """Open a connection on which the node sends its messages."""
-    uri = str(_ask_master(master, "lookupNode", [node], deadline))
-    offer = xmlrpc.call_ros(uri, "requestTopic", [_CALLER, topic, [["TCPROS"]]], deadline)
+    uri = str(ask_master(master, "lookupNode", [node], deadline))
+    offer = xmlrpc.call_ros(uri, "requestTopic", [CALLER, topic, [["TCPROS"]]], deadline)
     if not isinstance(offer, list) or len(offer) < 3:
         raise CallError("it does not offer TCPROS")
     made = xmlrpc.connect(str(offer[1]), int(offer[2]), deadline)
@@ -156,7 +156,7 @@ def _subscribe(topic: str, node: str, master: str, deadline: float) -> "sockets.
 
 def _shake_hands(made: "sockets.socket.socket", fields: "dict[str, str]", deadline: float) -> None:
     """Exchange the headers of a connection. CallError where the other side declines."""
-    lines = [("%s=%s" % pair).encode("utf-8") for pair in dict(fields, callerid=_CALLER).items()]
+    lines = [("%s=%s" % pair).encode("utf-8") for pair in dict(fields, callerid=CALLER).items()]
     header = b"".join(struct.pack("<I", len(line)) + line for line in lines)
     try:
         made.sendall(struct.pack("<I", len(header)) + header)
@@ -173,12 +173,12 @@ def _shake_hands(made: "sockets.socket.socket", fields: "dict[str, str]", deadli
 
 def _check_service(service: str, master: str, deadline: float) -> None:
     try:
-        uri = str(_ask_master(master, "lookupService", [service], deadline))
+        uri = str(ask_master(master, "lookupService", [service], deadline))
     except CallError as error:
         raise CallError("service %s is not offered: %s" % (service, error)) from error
     try:
         host, port = xmlrpc.split_uri(uri)
-        made = xmlrpc.connect(host, port, min(deadline, time.monotonic() + _CALL_S))
+        made = xmlrpc.connect(host, port, min(deadline, time.monotonic() + CALL_S))
         try:
             _shake_hands(made, {"probe": "1", "md5sum": "*", "service": service}, deadline)
         finally:

@@ -61,6 +61,11 @@ def find_fault(
     Raises:
         NoHelperError: there is no helper, or none that answers.
     """
+    return ask_helper(asked, env, deadline, setup), ""
+
+
+def ask_helper(asked: Document, env: "Mapping[str, str]", deadline: float, setup: "list[str]") -> str:
+    """Ask the helper; raises NoHelperError."""
     made = _connect(build_helper_name(env, setup), min(deadline, time.monotonic() + _CONNECT_S))
     try:
         made.sendall(fast_json.dumps(asked).encode("utf-8"))
@@ -77,7 +82,7 @@ def find_fault(
         made.close()
     if not answer.startswith(b"="):
         raise NoHelperError("the helper for ROS 2 ended")
-    return answer[1:].decode("utf-8", "replace"), ""
+    return answer[1:].decode("utf-8", "replace")
 
 
 def _connect(name: str, deadline: float) -> "socket.socket":

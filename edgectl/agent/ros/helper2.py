@@ -1,7 +1,8 @@
 """Helper that knows the graph of ROS 2: one per host and domain, run by the Python of the set-up files.
 
 The agent sends its text to ``python3 -``, and what it needs of ROS it finds there. It answers one question
-per connection on an abstract socket: a JSON object in, ``=`` and the fault as text out, empty for none.
+per connection on an abstract socket: a JSON object in, ``=`` and the fault as text out, empty for none, or a
+JSON object where it is to list the graph.
 """
 
 import importlib
@@ -22,6 +23,8 @@ _MOST_BYTES = 1 << 16
 # How long a name that is asked for the first time may take to be discovered, and how long after its own start
 # the helper may not know names that have long been there: on a busy host discovery takes seconds.
 _DISCOVERY_S, _SETTLE_S = 1.0, 5.0
+# A list is complete when two looks so far apart see the same nodes.
+_LOOK_S, _MOST_LOOKS = 0.5, 10
 
 
 class Graph:
@@ -56,6 +59,32 @@ class Graph:
 
     def _discover(self, condition: "Any") -> bool:
         return _wait_for(condition, max(_DISCOVERY_S, self.settled_at - time.monotonic()))
+
+    def list_graph(self) -> "dict[str, Any]":
+        """List the nodes with what they publish and hear, and the ids of their DDS participants."""
+        time.sleep(max(0.0, self.settled_at - time.monotonic()))
+        before, seen = set(), self._list_nodes()  # type: set[str], set[str]
+        for _ in range(_MOST_LOOKS):
+            if seen == before:
+                break
+            time.sleep(_LOOK_S)
+            before, seen = seen, self._list_nodes()
+        own = self.node.get_fully_qualified_name()
+        found: "dict[str, Any]" = {
+            name: {"publishes": [], "subscribes": [], "gid": ""} for name in {*seen, own}
+        }
+        for topic, _ in self.node.get_topic_names_and_types():
+            for key, ends in (
+                ("publishes", self.node.get_publishers_info_by_topic(topic)),
+                ("subscribes", self.node.get_subscriptions_info_by_topic(topic)),
+            ):
+                for end in ends:
+                    node = found.get(end.node_namespace.rstrip("/") + "/" + end.node_name)
+                    if node is not None:
+                        node["gid"] = bytes(end.endpoint_gid).hex()
+                        if topic not in node[key]:
+                            node[key].append(topic)
+        return {"pid": os.getpid(), "own": own, "nodes": found}
 
     def _list_nodes(self) -> "set[str]":
         return {space.rstrip("/") + "/" + name for name, space in self.node.get_node_names_and_namespaces()}
@@ -110,7 +139,8 @@ def _serve(graph: Graph, peer: socket.socket) -> None:
         if struct.unpack("3i", credentials)[1] != os.geteuid():
             return
         try:
-            fault = graph.find_fault(json.loads(peer.recv(_MOST_BYTES).decode("utf-8")))
+            asked = json.loads(peer.recv(_MOST_BYTES).decode("utf-8"))
+            fault = json.dumps(graph.list_graph()) if asked.get("list") else graph.find_fault(asked)
         except Exception as error:  # noqa: BLE001 - the answer is the only channel
             fault = "%s: %s" % (type(error).__name__, error)
         peer.sendall(b"=" + fault.encode("utf-8", "replace"))
