@@ -115,7 +115,7 @@ def collect_cpu_s(group: TaskProcesses, table: "dict[int, proc.Process]") -> "di
     A child's time passes to the process that reaps it, so the sum over the tree only grows. The supervisor's
     own work is not the task's, but it reaps the task's orphans.
     """
-    seconds = {pid: table[pid].cpu + table[pid].child_cpu for pid in group.pids if pid in table}
+    seconds = {pid: proc.read_cpu_s(table[pid]) + table[pid].child_cpu for pid in group.pids if pid in table}
     if group.above in table:
         seconds[group.above] = table[group.above].child_cpu
     return seconds
