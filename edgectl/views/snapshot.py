@@ -132,8 +132,8 @@ def _render_device_row(name: str, host: HostSample) -> Row:
 
 
 def _format_link_details(robot: str, link: LinkSample) -> str:
-    partial = f" (partial: {link.partial})" if link.partial else ""
-    return f"{robot} {format_rate(link.used_bytes_per_s)}{partial} of {describe_capacity(link)}"
+    remark = f"partial: {link.partial}" if link.partial else f"by {link.used_source}"
+    return f"{robot} {format_rate(link.used_bytes_per_s)} ({remark}) of {describe_capacity(link)}"
 
 
 def _format_interface(name: str, sample: InterfaceSample) -> str:

@@ -9,6 +9,7 @@ from ..link import protocol
 from ..link.fast_json import Document
 from ..supervise import adoption, other_tasks, state_dir, status
 from . import device, metrics, network, proc
+from .counters import CounterMeter
 from .task import TaskMeter
 from .udp import UdpMeter
 
@@ -110,6 +111,7 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
     peers = network.resolve_robots(request.get("peers", []))
     tasks = TaskMeter(request["host"], request.get("detect", []))
     checks = _RunningChecks(request["host"], request.get("checks", []), tasks.before)
+    counted = CounterMeter(state_dir.get_fleet() if addresses else "")
     traffic, totals = network.TrafficMeter(dict(addresses, **peers)), network.read_interface_bytes()
     udp, cpu, started = UdpMeter(), device.CpuMeter(), time.monotonic()
     probes = network.ConnectProbes(addresses)
@@ -118,8 +120,9 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
     seconds = time.monotonic() - started
     flows, rates = traffic.flows(), network.compute_rates(totals, network.read_interface_bytes(), seconds)
     traffic.close()
-    datagrams = udp.find_sockets()
-    measured = tasks.measure(flows, datagrams, addresses, seconds)
+    interfaces = network.find_interfaces(addresses)
+    datagrams, rates_counted = udp.find_sockets(), counted.measure(addresses, interfaces)
+    measured = tasks.measure(flows, datagrams, addresses, seconds, rates_counted)
     probes.close(addresses)
     return {
         "psutil": device.find_psutil_folder() is not None,
@@ -133,8 +136,9 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
             for name, rate in rates.items()
         },
         "links": network.build_links(
-            addresses, flows, probes, traffic.seconds, network.find_interfaces(addresses), datagrams
+            addresses, flows, probes, traffic.seconds, interfaces, datagrams, rates_counted
         ),
+        "counters": rates_counted.state,
         "peers": network.build_peers(peers, flows, traffic.seconds),
         "tasks": measured,
     }, checks
