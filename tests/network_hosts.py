@@ -26,6 +26,7 @@ mount -t overlay overlay -o "lowerdir=/etc,upperdir=$FOLDER/upper,workdir=$FOLDE
 mount --rbind /sys/fs/cgroup "$FOLDER/groups"
 mount -t sysfs sysfs /sys
 mount --rbind "$FOLDER/groups" /sys/fs/cgroup
+mount -t tmpfs tmpfs /dev/shm
 echo "edge:x:4711:4711::/tmp:/bin/sh" >> /etc/passwd
 echo "edge:*:19000::::::" >> /etc/shadow
 """

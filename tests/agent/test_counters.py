@@ -237,6 +237,36 @@ def test_totals_are_those_of_the_interface(site: Site) -> None:
     assert wire > 1.02 * count, "40 kB are cut into 28 frames, whose headers the counters do not see"
 
 
+_SINK = "import socket; p, _ = socket.create_server(('%s', 20002)).accept()\nwhile p.recv(1 << 20): pass"
+_STREAM = """
+import socket, time
+for _ in range(1000):
+    try:
+        s = socket.create_connection(('%s', 20002))
+        break
+    except OSError:
+        time.sleep(0.05)
+s.sendall(bytes(10_000_000))
+"""
+
+
+@real_only
+def test_a_stream_that_is_cut_into_segments_after_it_was_counted_has_their_headers(site: Site) -> None:
+    shape = "qdisc replace dev eth0 root tbf rate 80mbit burst 5kb latency 400ms"
+    site.edge.run("tc", *shape.split())
+    site.install()
+    before = site.edge.read_interface()[1]
+    python = [sys.executable, "-I", "-S", "-c"]
+    with subprocess.Popen(site.robot.enter(*python, _SINK % site.robot.address)):
+        site.edge.run(*python, _STREAM % site.robot.address)
+    sent = site.edge.read_interface()[1] - before
+    counts = counters.parse_table(site.edge.run("nft", "list", "table", "inet", "edgectl_lab"))
+    packets, count = counts[("tcp_out", site.robot.address)]
+    wire = counters.estimate_wire_bytes(packets, count, (1500, 14), site.robot.address, tcp=True)
+    assert wire == pytest.approx(sent, rel=0.01)
+    assert wire > 1.02 * count, f"{packets} packets of {count} bytes were not cut"
+
+
 @real_only
 def test_rules_that_the_kernel_lost_are_loaded_again_and_a_new_address_is_not_counted(site: Site) -> None:
     site.install()
