@@ -280,6 +280,10 @@ def _build_interface(reply: InterfaceReply) -> InterfaceSample:
         rx_bytes_per_s=reply.rx_bytes_per_s,
         tx_bytes_per_s=reply.tx_bytes_per_s,
         speed_bytes_per_s=reply.speed_bytes_per_s,
+        level_dbm=reply.level_dbm,
+        retries_per_s=reply.retries_per_s,
+        access_point=reply.access_point,
+        joined_s=reply.joined_s,
     )
 
 

@@ -71,6 +71,10 @@ class InterfaceReply:
     rx_bytes_per_s: Amount
     tx_bytes_per_s: Amount
     speed_bytes_per_s: Amount | None = None
+    level_dbm: Reading | None = None
+    retries_per_s: Amount | None = None
+    access_point: Text = ""
+    joined_s: Age | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

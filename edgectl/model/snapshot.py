@@ -171,11 +171,19 @@ class OtherTask:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InterfaceSample:
-    """One network interface: bytes/s in and out, nominal speed in bytes/s where the kernel knows it."""
+    """One network interface: bytes/s in and out, nominal speed in bytes/s where the kernel knows it.
+
+    Of a radio, where its driver states them (ADR 105): level of the signal, repeated frames per second, the
+    access point that it has joined, and how long ago; a roaming radio has joined another one just now.
+    """
 
     rx_bytes_per_s: float
     tx_bytes_per_s: float
     speed_bytes_per_s: float | None = None
+    level_dbm: Signed | None = None
+    retries_per_s: float | None = None
+    access_point: str = ""
+    joined_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

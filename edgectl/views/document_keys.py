@@ -115,7 +115,10 @@ INNER_KEYS: KeysByName = {
     "handoff": ("order", "safe_when", "hold", "release"),
     "history": ("at", "host", *map(get_flat_used_key, RESOURCES)),
     "hosts": ("status", "error", *(resource.name for resource in HOST_RESOURCES)),
-    "interfaces": ("rx_bytes_per_s", "tx_bytes_per_s", "speed_bytes_per_s"),
+    "interfaces": (
+        "rx_bytes_per_s", "tx_bytes_per_s", "speed_bytes_per_s", "level_dbm", "retries_per_s", "access_point",
+        "joined_s",
+    ),
     "left": ("task", "host"),
     "links": _LINK_SAMPLE,
     "maps": _ESTIMATE,

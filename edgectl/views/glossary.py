@@ -40,7 +40,8 @@ class KeyEntry:
 
 
 _UNITS = {
-    "_bytes_per_s": "bytes/s", "_bytes": "bytes", "_cores": "cores", "_ms": "ms", "_s": "s", "_c": "°C",
+    "_bytes_per_s": "bytes/s", "_per_s": "1/s", "_dbm": "dBm",
+    "_bytes": "bytes", "_cores": "cores", "_ms": "ms", "_s": "s", "_c": "°C",
 }  # fmt: skip
 
 
@@ -103,6 +104,7 @@ def _list_amount_headings() -> dict[str, str]:
 
 _MEANINGS: dict[KeyType, dict[str, str]] = {
     KeyType.TEXT: {
+        "access_point": "address of the access point that a radio has joined",
         "action": "action: start, stop, move, restart, adopt, keep, hold, complete, defer, unplaced, none",
         "address": "address of a host in the inventory",
         "attention": "reason why an operator should look at a task; null: none",
@@ -215,6 +217,9 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "priority": "priority of a task",
         "restarts": "restarts of a task since its start",
         "revision": "number of a revision",
+        "joined_s": "time since a radio joined its access point",
+        "level_dbm": "level of the signal of a radio",
+        "retries_per_s": "frames that a radio sent again",
         "rtt_ms": "round-trip time",
         "run_count": "number of runs",
         "rx_bytes": "bytes received from a robot since the installation of the counters",

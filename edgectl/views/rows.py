@@ -82,6 +82,10 @@ def _encode_device(device: DeviceSample) -> Document:
             rx_bytes_per_s=each.rx_bytes_per_s,
             tx_bytes_per_s=each.tx_bytes_per_s,
             speed_bytes_per_s=each.speed_bytes_per_s,
+            level_dbm=each.level_dbm,
+            retries_per_s=each.retries_per_s,
+            access_point=each.access_point or None,
+            joined_s=each.joined_s,
         )
         for name, each in device.interfaces.items()
     }

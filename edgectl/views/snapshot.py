@@ -138,7 +138,20 @@ def _format_link_details(robot: str, link: LinkSample) -> str:
 
 def _format_interface(name: str, sample: InterfaceSample) -> str:
     speed = f" of {format_rate(sample.speed_bytes_per_s)}" if sample.speed_bytes_per_s else ""
-    return f"{name} in {format_rate(sample.rx_bytes_per_s)} out {format_rate(sample.tx_bytes_per_s)}{speed}"
+    traffic = (
+        f"{name} in {format_rate(sample.rx_bytes_per_s)} out {format_rate(sample.tx_bytes_per_s)}{speed}"
+    )
+    return " ".join([traffic, *_describe_radio(sample)])
+
+
+def _describe_radio(sample: InterfaceSample) -> list[str]:
+    found = [] if sample.level_dbm is None else [f"{sample.level_dbm:.0f}dBm"]
+    if sample.retries_per_s is not None:
+        found.append(f"{sample.retries_per_s:.0f} retries/s")
+    if sample.access_point:
+        since = "" if sample.joined_s is None else f" for {format_duration(sample.joined_s)}"
+        found.append(f"at {sample.access_point}{since}")
+    return found
 
 
 def _render_bandwidth_cell(value: BandwidthMeasurement) -> str | Cell:

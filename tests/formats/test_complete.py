@@ -61,7 +61,9 @@ TASK = TaskSample(
     spec_hash="s", generation=7, managed=False, restarts=8, exit_code=-9, detail="d",
     fields={"command": "c"}, last_exit=3, log_tail=("l",), limits="enforced", given_up=True, metrics={"fps": 29.5}, ended_at=2.5, file="f", orphaned=True, adoptable=True, needed="a1b2c3", partial="udp unseen",
 )  # fmt: skip
-INTERFACE = InterfaceSample(rx_bytes_per_s=1.0, tx_bytes_per_s=2.0, speed_bytes_per_s=3.0)
+INTERFACE = InterfaceSample(
+    rx_bytes_per_s=1.0, tx_bytes_per_s=2.0, speed_bytes_per_s=3.0, level_dbm=-61.0, retries_per_s=4.0, access_point="a", joined_s=5.0,
+)  # fmt: skip
 DEVICE = DeviceSample(
     load_1m=1.0,
     temperature_c=-2.0,

@@ -14,6 +14,7 @@ from ..link import fast_json, heartbeat
 from ..link.fast_json import Document
 from ..measure import counters, device, network, proc
 from ..measure.udp import UdpMeter
+from ..measure.wireless import RadioMeter
 from ..supervise import state_dir
 from . import pidfile, sample_ring
 from .process_tracker import ProcessTracker
@@ -82,6 +83,7 @@ class ProfilerDaemon:
         self.traffic = network.TrafficMeter(dict(self.addresses, **self.peers))
         self.udp = UdpMeter()
         self.counted = counters.CounterMeter(state_dir.get_fleet() if self.links else "")
+        self.wireless = RadioMeter()
         self.rates: "Document | None" = None
         self.number = 0
         self.cost, self.spent, self.begun, self.next_look = (
@@ -185,6 +187,7 @@ class ProfilerDaemon:
         self.slow: Document = {
             "routes": network.find_interfaces(addresses),
             "speeds": {name: network.read_interface_speed(name) for name in network.read_interface_bytes()},
+            "wireless": self.wireless.measure(),
             "temperature_c": device.read_temperature_c(),
             "gpu_share": device.read_gpu_share(),
         }

@@ -48,7 +48,9 @@ def _build_measurements(request: Document, sample: Document, age: float) -> Docu
         "temperature_c": levels["temperature_c"],
         "gpu_share": levels["gpu_share"],
         "interfaces": {
-            name: network.build_interface_entry(rate, levels["speeds"].get(name))
+            name: network.build_interface_entry(
+                rate, levels["speeds"].get(name), levels["wireless"].get(name)
+            )
             for name, rate in rates["interfaces"].items()
         },
         "links": {

@@ -371,13 +371,16 @@ def compute_rates(
     return found
 
 
-def build_interface_entry(rate: "dict[str, float]", speed_bytes_per_s: "int | None") -> Document:
-    """Build the entry of one interface in a reply."""
-    return {
+def build_interface_entry(
+    rate: "dict[str, float]", speed_bytes_per_s: "int | None", wireless: "Document | None"
+) -> Document:
+    """Build the entry of one interface in a reply; ``wireless``: what a ``RadioMeter`` found of it."""
+    entry = {
         "rx_bytes_per_s": round(rate["rx"], 1),
         "tx_bytes_per_s": round(rate["tx"], 1),
         "speed_bytes_per_s": speed_bytes_per_s,
     }
+    return dict(entry, **wireless) if wireless else entry
 
 
 def read_interface_speed(name: str) -> "int | None":

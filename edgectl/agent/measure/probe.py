@@ -12,6 +12,7 @@ from . import device, metrics, network, proc
 from .counters import CounterMeter
 from .task import TaskMeter
 from .udp import UdpMeter
+from .wireless import RadioMeter
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -113,6 +114,7 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
     checks = _RunningChecks(request["host"], request.get("checks", []), tasks.before)
     counted = CounterMeter(state_dir.get_fleet() if addresses else "")
     traffic, totals = network.TrafficMeter(dict(addresses, **peers)), network.read_interface_bytes()
+    radios = RadioMeter()
     udp, cpu, started = UdpMeter(), device.CpuMeter(), time.monotonic()
     probes = network.ConnectProbes(addresses)
     probes.wait(max(started + window, time.monotonic() + _MIN_CONNECT_S))
@@ -124,6 +126,7 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
     datagrams, rates_counted = udp.find_sockets(), counted.measure(addresses, interfaces)
     measured = tasks.measure(flows, datagrams, addresses, seconds, rates_counted)
     probes.close(addresses)
+    wireless = radios.measure()
     return {
         "psutil": device.find_psutil_folder() is not None,
         "window_s": round(seconds, 4),
@@ -132,7 +135,7 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
         "temperature_c": device.read_temperature_c(),
         "gpu_share": device.read_gpu_share(),
         "interfaces": {
-            name: network.build_interface_entry(rate, network.read_interface_speed(name))
+            name: network.build_interface_entry(rate, network.read_interface_speed(name), wireless.get(name))
             for name, rate in rates.items()
         },
         "links": network.build_links(
