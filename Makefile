@@ -1,5 +1,5 @@
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: ros quality demo experiment test test-fast check setup audit bench faults fuzz soak clean
+.PHONY: ros throughput quality demo experiment test test-fast check setup audit bench faults fuzz soak clean
 PY := .venv/bin/python
 export PYTHON
 
@@ -41,6 +41,11 @@ ros: setup
 	@.ci/need-ros
 	@PATH="$$PATH:/usr/sbin:/sbin" ROS_LAUNCH=$(LAUNCH) $(PY) -m tests.suite tests/ros
 
+# Byte counters against interfaces for ten mixes of TCP, Fast DDS and Cyclone DDS: the table of docs/performance.md. Some minutes.
+throughput: setup
+	@.ci/need-ros
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.ros.throughput --window $(or $(WINDOW),10)
+
 bench: setup
 	@.ci/need-sshd
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.benchmarks
@@ -76,4 +81,4 @@ experiment: setup
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.experiments.lab --repetitions $(or $(REPETITIONS),3)
 
 clean:
-	rm -rf .venv .venv-ros2 .pytest_cache .mypy_cache .ruff_cache .hypothesis dist build
+	rm -rf .venv .venv-ros2 .venv-cyclone .pytest_cache .mypy_cache .ruff_cache .hypothesis dist build

@@ -68,6 +68,11 @@ COMMANDS = {
     "profilers start": CommandEntry("cli.profilers", "Operate", "Start resident profilers on the hosts."),
     "profilers status": CommandEntry("cli.profilers", "Operate", "Show resident profilers and their cost."),
     "profilers stop": CommandEntry("cli.profilers", "Operate", "Stop resident profilers."),
+    "counters install": CommandEntry(
+        "cli.counters", "Operate", "Install byte counters on edges, so that UDP is measured."
+    ),
+    "counters show": CommandEntry("cli.counters", "Operate", "Show the bytes of each robot."),
+    "counters remove": CommandEntry("cli.counters", "Operate", "Remove the byte counters from edges."),
     "replay": CommandEntry(
         "experiments.commands.replay",
         "Evaluate",
@@ -123,6 +128,7 @@ GROUP_HELP: dict[str, str] = {
     "describe": "Show details of an edge, robot or task.",
     "top": "Show resource usage: of hosts by default (-w to refresh, -i for the full-screen view).",
     "profilers": "Manage resident profilers on the hosts.",
+    "counters": "Manage byte counters of the traffic with each robot, on the edges.",
     "import": "Import launch files and host lists of other tools.",
     "export": "Export for cron, systemd, Prometheus, ROS, CSV and others.",
     "experiment": "Compare schemes on real hosts.",

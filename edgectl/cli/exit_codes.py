@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from edgectl.errors import ExitCode
 from edgectl.model.assignment import Reason
+from edgectl.model.byte_counters import ByteCounters
 from edgectl.model.cycle import Cycle
 from edgectl.model.diagnosis import Diagnosis, Severity
 from edgectl.model.inventory import Inventory
@@ -33,6 +34,12 @@ def of_snapshot(snapshot: Snapshot, inventory: Inventory, *, allow_unreachable: 
 def _has_misplaced_tasks(snapshot: Snapshot) -> bool:
     """Whether a task runs twice, or where the inventory no longer reaches it."""
     return bool(find_doubled_tasks(snapshot) or list_lost_tasks(snapshot))
+
+
+def of_counters(counters: Iterable[ByteCounters]) -> ExitCode:
+    """4 if a host did not do what was asked, or has counters that cannot be read."""
+    failed = any(each.error or (each.state and not each.installed) for each in counters)
+    return ExitCode.PARTLY if failed else ExitCode.DONE
 
 
 def of_profilers(profilers: Iterable[Profiler]) -> ExitCode:

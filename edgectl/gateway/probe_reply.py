@@ -10,6 +10,7 @@ from dataclasses import field
 from edgectl.agent.link import protocol
 from edgectl.dataclass import dataclass
 from edgectl.errors import ReplyError
+from edgectl.gateway.counted_traffic import attribute_counted_traffic
 from edgectl.gateway.replies import (
     DEVICE_USAGE,
     GrantsReply,
@@ -32,6 +33,7 @@ from edgectl.model.snapshot import (
     ResourceUsage,
     TaskSample,
     TaskState,
+    TrafficSource,
 )
 from edgectl.model.text import escape_unprintable
 
@@ -83,12 +85,15 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
     tasks = build_task_samples(
         reply, context.answered_at, detected=context.detected, reopened=context.reopened
     )
+    if not context.host.is_slice:
+        tasks = attribute_counted_traffic(reply, tasks, context.robots_of)
     sample = HostSample(
         role=context.host.role,
         status=HostStatus.OK,
         sample_age_s=reply.sample_age_s,
         resident=reply.resident,
         usage=_decode_usages(document, context.host, tasks),
+        counters=reply.counters,
         links=_build_links(reply, context, tasks) if context.host.role is Role.EDGE else {},
         tasks=tasks,
         device=_build_device(reply, context.answered_at),
@@ -219,12 +224,14 @@ def _build_link(
     capacity, source = select_link_capacity(robot, context, nic.speed_bytes_per_s if nic else None)
     if robot not in context.blind and reply.reachable is False:
         capacity = 0.0
+    counted = reply.source is TrafficSource.COUNTERS and not context.host.is_slice
     return LinkSample(
         capacity_bytes_per_s=capacity,
         used_bytes_per_s=used,
         rtt_ms=reply.rtt_ms,
         capacity_source=source,
-        partial=reply.partial or _find_gap(robot, context, tasks),
+        partial="" if counted else reply.partial or _find_gap(robot, context, tasks),
+        used_source=reply.source,
     )
 
 
@@ -274,6 +281,10 @@ def _build_interface(reply: InterfaceReply) -> InterfaceSample:
         rx_bytes_per_s=reply.rx_bytes_per_s,
         tx_bytes_per_s=reply.tx_bytes_per_s,
         speed_bytes_per_s=reply.speed_bytes_per_s,
+        level_dbm=reply.level_dbm,
+        retries_per_s=reply.retries_per_s,
+        access_point=reply.access_point,
+        joined_s=reply.joined_s,
     )
 
 

@@ -56,13 +56,14 @@ def build_probe_spec(
     """
     is_edge = host.role is Role.EDGE
     return {
-        "links": _encode_addresses(addresses) if is_edge else [],
-        "peers": [] if is_edge else _encode_addresses(edges or {}),
+        "links": encode_addresses(addresses) if is_edge else [],
+        "peers": [] if is_edge else encode_addresses(edges or {}),
         "detect": [_encode_detect(task.name, task.detect) for task in tasks.tasks.values() if task.detect],
     }
 
 
-def _encode_addresses(addresses: Mapping[str, str]) -> list[dict[str, str]]:
+def encode_addresses(addresses: Mapping[str, str]) -> list[dict[str, str]]:
+    """The links of a request; ``addresses`` of the robots, or of the edges, by name."""
     return [{"robot": name, "address": address} for name, address in addresses.items()]
 
 

@@ -17,7 +17,7 @@ from edgectl.model.encoding import Bounds, Converted, EachAlone, in_document
 from edgectl.model.profiler import ProfilerState
 from edgectl.model.reported import Age, Generation, Text
 from edgectl.model.resource import HOST_RESOURCES, MEASURED_HOST_RESOURCES
-from edgectl.model.snapshot import OtherTask, TaskState
+from edgectl.model.snapshot import OtherTask, TaskState, TrafficSource
 from edgectl.model.text import escape_unprintable
 
 ReplyDocument = Mapping[str, object]
@@ -72,13 +72,18 @@ class InterfaceReply:
     rx_bytes_per_s: Amount
     tx_bytes_per_s: Amount
     speed_bytes_per_s: Amount | None = None
+    level_dbm: Reading | None = None
+    retries_per_s: Amount | None = None
+    access_point: Text = ""
+    joined_s: Age | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkReply:
     """One link of a probe: traffic in bytes/s, round-trip time in ms, ``reachable`` None where nothing came
-    back within the window, ``partial`` as
-    ``model.snapshot.LinkSample``; the others as ``model.link_reading.LinkObservation``.
+    back within the window, ``partial`` and ``source`` (of the traffic) as
+    ``model.snapshot.LinkSample``; ``other_bytes_per_s``: the part of a counted traffic that is not TCP; the
+    others as ``model.link_reading.LinkObservation``.
     """
 
     rx_bytes_per_s: Amount = 0.0
@@ -89,6 +94,8 @@ class LinkReply:
     carries_bytes_per_s: Amount | None = None
     radio_bytes_per_s: Amount | None = None
     partial: Text = ""
+    other_bytes_per_s: Amount = 0.0
+    source: TrafficSource = TrafficSource.TCP
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,6 +174,7 @@ class ProbeReply:
     grants: GrantsReply = GrantsReply()
     generations: Annotated[Mapping[Text, object], ALONE] = field(default_factory=dict)
     other_tasks: Annotated[tuple[OtherTask, ...], ALONE] = ()
+    counters: Text = ""
     unowned: Annotated[tuple[Text, ...], ALONE] = ()
     former: Annotated[tuple[Text, ...], ALONE] = ()
 

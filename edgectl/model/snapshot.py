@@ -52,6 +52,17 @@ class CapacitySource(StrEnum):
     RADIO = "radio"
 
 
+class TrafficSource(StrEnum):
+    """Source of the traffic of a link: bytes of TCP connections, or counters of all protocols (ADR 104)."""
+
+    TCP = protocol.SOURCE_TCP
+    COUNTERS = protocol.SOURCE_COUNTERS
+
+
+# ``counters`` of a host whose counters are read.
+COUNTERS_INSTALLED = protocol.COUNTERS_INSTALLED
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResourceUsage:
     """Capacity (> 0, before limits) and use of one resource of a host, in its unit."""
@@ -72,7 +83,7 @@ class LinkSample:
 
     ``capacity_age_s``: age of a live reading when the snapshot was taken. ``nominal``: the declared, measured
     or assumed capacity in bytes/s, where the capacity is a live one. ``partial``: what ``used_bytes_per_s``
-    lacks; empty where nothing (ADR 0096).
+    lacks; empty where nothing (ADR 0096). ``used_source``: where it comes from.
     """
 
     capacity_bytes_per_s: float
@@ -84,6 +95,7 @@ class LinkSample:
     capacity_age_s: float | None = None
     nominal: float | None = field(default=None, metadata=in_document("nominal_bytes_per_s"))
     partial: str = ""
+    used_source: TrafficSource = TrafficSource.TCP
 
     @property
     def nominal_bytes_per_s(self) -> float:
@@ -160,11 +172,19 @@ class OtherTask:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InterfaceSample:
-    """One network interface: bytes/s in and out, nominal speed in bytes/s where the kernel knows it."""
+    """One network interface: bytes/s in and out, nominal speed in bytes/s where the kernel knows it.
+
+    Of a radio, where its driver states them (ADR 105): level of the signal, repeated frames per second, the
+    access point that it has joined, and how long ago; a roaming radio has joined another one just now.
+    """
 
     rx_bytes_per_s: float
     tx_bytes_per_s: float
     speed_bytes_per_s: float | None = None
+    level_dbm: Signed | None = None
+    retries_per_s: float | None = None
+    access_point: str = ""
+    joined_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,7 +212,8 @@ class HostSample:
     ``machine``: machine id, user and state directories of the login, as ``ID/UID/HASH``; "" where there is no
     machine id. ``grant``: how often the host has granted the fleet to a manager. ``foreign_grant``: number of
     the last grant to another manager than the one that took the snapshot. ``foreign_hosts``: hosts that the
-    inventory lacks and on which other managers of the fleet may place tasks.
+    inventory lacks and on which other managers of the fleet may place tasks. ``counters``: "" where none are
+    installed for this fleet, "installed", or why they cannot be read.
     """
 
     role: Role
@@ -219,6 +240,7 @@ class HostSample:
     grant: int = 0
     foreign_grant: int = 0
     foreign_hosts: tuple[str, ...] = ()
+    counters: str = ""
 
     @property
     def ok(self) -> bool:

@@ -14,11 +14,11 @@ KeysByName = Mapping[str, Keys]
 _RESOURCES = tuple(resource.name for resource in RESOURCES)
 _LINK_SAMPLE = (
     "capacity_bytes_per_s", "used_bytes_per_s", "rtt_ms", "capacity_source", "capacity_age_s",
-    "nominal_bytes_per_s", "partial",
+    "nominal_bytes_per_s", "used_source", "partial",
 )  # fmt: skip
 _HOST = (
     "host", "role", "address", "connection", "labels", "limits", "onboard", "taken_at", "status", "error",
-    "hint", "sample_age_s", "resident", *(resource.name for resource in HOST_RESOURCES), "links",
+    "hint", "sample_age_s", "resident", "counters", *(resource.name for resource in HOST_RESOURCES), "links",
     "task_names", "other_tasks", "foreign_tasks", "device", "mark",
 )  # fmt: skip
 _ABSENT_TASK = ("task", "host", "taken_at", "state", "contacted_at", "managed")
@@ -58,6 +58,7 @@ LIST_KEYS: KeysByName = {
         "scheme", "policy", "move_margin", "cycles", "handoffs", "unplaced", "unsettled", "assumed",
         "utilisation",
     ),
+    "byte-counter": ("host", "counters", "tasks_counted", "robot_counters", "error", "hint"),
     "request": ("host", "phase", "task", "command", "stdin"),
     "revision": _REVISION,
     "robot": _HOST,
@@ -114,7 +115,10 @@ INNER_KEYS: KeysByName = {
     "handoff": ("order", "safe_when", "hold", "release"),
     "history": ("at", "host", *map(get_flat_used_key, RESOURCES)),
     "hosts": ("status", "error", *(resource.name for resource in HOST_RESOURCES)),
-    "interfaces": ("rx_bytes_per_s", "tx_bytes_per_s", "speed_bytes_per_s"),
+    "interfaces": (
+        "rx_bytes_per_s", "tx_bytes_per_s", "speed_bytes_per_s", "level_dbm", "retries_per_s", "access_point",
+        "joined_s",
+    ),
     "left": ("task", "host"),
     "links": _LINK_SAMPLE,
     "maps": _ESTIMATE,
@@ -125,6 +129,9 @@ INNER_KEYS: KeysByName = {
     "phases": ("phase", "host", "duration_s", "ok", "detail"),
     "placement": ("host", "placed_at"),
     "resources": ("declared", "p50", "p95", "max"),
+    "robot_counters": (
+        "addresses", "counted", "rx_bytes", "tx_bytes", "tcp_bytes", "rx_bytes_per_s", "tx_bytes_per_s",
+    ),
     "runs": tuple(dict.fromkeys((*_RUN, *_ABSENT_TASK))),
     "schemes": (
         "scheme", "run_count", "unfinished", "unplaced", "host_names", "figures", "metrics", "maps",

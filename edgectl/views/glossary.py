@@ -40,7 +40,8 @@ class KeyEntry:
 
 
 _UNITS = {
-    "_bytes_per_s": "bytes/s", "_bytes": "bytes", "_cores": "cores", "_ms": "ms", "_s": "s", "_c": "°C",
+    "_bytes_per_s": "bytes/s", "_per_s": "1/s", "_dbm": "dBm",
+    "_bytes": "bytes", "_cores": "cores", "_ms": "ms", "_s": "s", "_c": "°C",
 }  # fmt: skip
 
 
@@ -103,6 +104,7 @@ def _list_amount_headings() -> dict[str, str]:
 
 _MEANINGS: dict[KeyType, dict[str, str]] = {
     KeyType.TEXT: {
+        "access_point": "address of the access point that a radio has joined",
         "action": "action: start, stop, move, restart, adopt, keep, hold, complete, defer, unplaced, none",
         "address": "address of a host in the inventory",
         "attention": "reason why an operator should look at a task; null: none",
@@ -114,6 +116,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "class": "class of hosts with equal cores and memory",
         "command": "command line",
         "connection": "transport of a host: ssh, openssh or local",
+        "counters": "byte counters of a host: installed, or why they cannot be read",
         "detail": "detail of a state or a phase",
         "digest": "digest of the specification of an experiment",
         "edge": "name of an edge",
@@ -136,7 +139,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "on_unreachable": "policy for an unreachable host: hold or replace",
         "order": "order of a handoff: stop-first or start-first",
         "outcome": "outcome of an action or a revision",
-        "partial": "what the traffic of a link or a task lacks: udp unseen",
+        "partial": "what the traffic of a link or a task lacks: udp unseen, udp counted by link only",
         "phase": "phase of an action",
         "policy": "name of a policy",
         "previous_host": "host before the decision",
@@ -165,6 +168,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "type": "type of a change: ADDED, MODIFIED or DELETED",
         "unit": "unit of an amount",
         "until": "state that a need waits for",
+        "used_source": "source of the traffic of a link: tcp (connections), or counters (all protocols)",
         "user": "user",
         "verb": "command that made a revision",
         "pinned_to": "host that the task file pins a task to",
@@ -213,9 +217,13 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "priority": "priority of a task",
         "restarts": "restarts of a task since its start",
         "revision": "number of a revision",
+        "joined_s": "time since a radio joined its access point",
+        "level_dbm": "level of the signal of a radio",
+        "retries_per_s": "frames that a radio sent again",
         "rtt_ms": "round-trip time",
         "run_count": "number of runs",
-        "rx_bytes_per_s": "received traffic of an interface",
+        "rx_bytes": "bytes received from a robot since the installation of the counters",
+        "rx_bytes_per_s": "received traffic of an interface, or from a robot",
         "sample_age_s": "age of a sample",
         "samples": "number of samples",
         "size": "change as a share of what it changes",
@@ -230,6 +238,8 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "trials": "number of trials that are done",
         "ttl_left_s": "time until a profiler ends by itself",
         "ttl_s": "time without a call after which a profiler ends",
+        "tcp_bytes": "the part of the bytes of a robot, in and out, that is TCP",
+        "tx_bytes": "bytes sent to a robot since the installation of the counters",
         "tx_bytes_per_s": "sent traffic of an interface",
         "unfinished": "runs that ended at the limit",
         "unplaced": "tasks without a host",
@@ -249,7 +259,9 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "onboard": "whether a robot is a candidate for its own tasks",
         "paused": "whether a watch is paused",
         "relative": "whether an amount is a share of the capacity",
+        "counted": "whether each address of a robot has a byte counter",
         "resident": "whether a resident profiler took the sample",
+        "tasks_counted": "whether tasks in systemd scopes have byte counters",
         "until_measured": "whether a declaration counts only until there are measurements",
     },
     KeyType.INSTANT: {
@@ -283,6 +295,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "foreign_tasks": "living tasks of other fleets on the machine of a host",
         "history": "last samples, oldest first",
         "equal_hosts": "hosts with the same utility as the chosen one",
+        "addresses": "addresses of a robot as a host resolves them",
         "host_names": "names of hosts",
         "items": "the things of the document",
         "left": "tasks that are left on drained hosts",
@@ -311,6 +324,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "labels": "labels by key",
         "limits": "share of the capacity that may be planned with, by resource",
         "links": "links by robot",
+        "robot_counters": "byte counters by robot",
         "maps": "SSIM by pair of maps",
         "metrics": "metrics that an application reports, by name",
         "off_by": "deviation from the reference as a share, by metric",
@@ -338,6 +352,7 @@ HEADINGS = _list_amount_headings() | {
     "capacity_source": "SOURCE",
     "check": "CHECK",
     "class": "CLASS",
+    "counters": "COUNTERS",
     "counts": "ACTIONS",
     "cpu.capacity_cores": "CORES",
     "declared": "DECLARED",
@@ -381,6 +396,7 @@ HEADINGS = _list_amount_headings() | {
     "robots": "ROBOTS",
     "role": "ROLE",
     "rtt_ms": "RTT",
+    "rx_bytes": "BYTES IN",
     "rx_bytes_per_s": "RECEIVED",
     "sample_age_s": "SAMPLE AGE",
     "samples": "SAMPLES",
@@ -397,6 +413,8 @@ HEADINGS = _list_amount_headings() | {
     "throughput": "NETWORK",
     "total": "UTILITY",
     "ttl_left_s": "TTL LEFT",
+    "tcp_bytes": "OF TCP",
+    "tx_bytes": "BYTES OUT",
     "tx_bytes_per_s": "SENT",
     "used": "USED",
     "user": "USER",

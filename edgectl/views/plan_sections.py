@@ -7,7 +7,13 @@ from edgectl.model.assignment import ExpectedLoad, Overuse
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan
 from edgectl.model.resource import HOST_RESOURCES, RESOURCES_BY_NAME
-from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, find_doubled_tasks
+from edgectl.model.snapshot import (
+    COUNTERS_INSTALLED,
+    HostSample,
+    LinkSample,
+    Snapshot,
+    find_doubled_tasks,
+)
 from edgectl.names import natural_key
 from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.rules.other_managers import describe_unlisted_host, list_tasks_on_unlisted_hosts
@@ -176,8 +182,15 @@ def list_partial_notes(snapshot: Snapshot) -> list[str]:
             if link.partial:
                 found.setdefault(link.partial, []).append(f"{edge} - {robot}")
     return [
-        f"partial: {gap} on {join_first_words(links)}; the declared throughput stands there"
-        for gap, links in found.items()
+        *(
+            f"partial: {gap} on {join_first_words(links)}; the declared throughput stands there"
+            for gap, links in found.items()
+        ),
+        *(
+            f"byte counters of {edge} cannot be read: {sample.counters}"
+            for edge, sample in snapshot.hosts.items()
+            if sample.counters not in ("", COUNTERS_INSTALLED)
+        ),
     ]
 
 

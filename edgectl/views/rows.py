@@ -40,6 +40,7 @@ def _encode_measurements(sample: HostSample) -> Document:
         "hint": sample.hint or None,
         "sample_age_s": sample.sample_age_s if sample.ok else None,
         "resident": sample.resident or None,
+        "counters": sample.counters or None,
         **encode_host_usage(sample),
         "links": {robot: encode_link_sample(link) for robot, link in sample.links.items()} or None,
         "task_names": [name for name, task in sample.tasks.items() if task.state.alive],
@@ -70,6 +71,7 @@ def encode_link_sample(link: LinkSample) -> Document:
         capacity_source=link.capacity_source.value,
         capacity_age_s=link.capacity_age_s,
         nominal_bytes_per_s=link.nominal,
+        used_source=link.used_source.value,
         partial=link.partial or None,
     )
 
@@ -80,6 +82,10 @@ def _encode_device(device: DeviceSample) -> Document:
             rx_bytes_per_s=each.rx_bytes_per_s,
             tx_bytes_per_s=each.tx_bytes_per_s,
             speed_bytes_per_s=each.speed_bytes_per_s,
+            level_dbm=each.level_dbm,
+            retries_per_s=each.retries_per_s,
+            access_point=each.access_point or None,
+            joined_s=each.joined_s,
         )
         for name, each in device.interfaces.items()
     }

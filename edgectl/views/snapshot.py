@@ -129,13 +129,26 @@ def _render_device_row(name: str, host: HostSample) -> Row:
 
 
 def _format_link_details(robot: str, link: LinkSample) -> str:
-    used = format_traffic(format_rate(link.used_bytes_per_s), link.partial)
-    return f"{robot} {used} of {describe_capacity(link)}"
+    remark = f"partial: {link.partial}" if link.partial else f"by {link.used_source}"
+    return f"{robot} {format_rate(link.used_bytes_per_s)} ({remark}) of {describe_capacity(link)}"
 
 
 def _format_interface(name: str, sample: InterfaceSample) -> str:
     speed = f" of {format_rate(sample.speed_bytes_per_s)}" if sample.speed_bytes_per_s else ""
-    return f"{name} in {format_rate(sample.rx_bytes_per_s)} out {format_rate(sample.tx_bytes_per_s)}{speed}"
+    traffic = (
+        f"{name} in {format_rate(sample.rx_bytes_per_s)} out {format_rate(sample.tx_bytes_per_s)}{speed}"
+    )
+    return " ".join([traffic, *_describe_radio(sample)])
+
+
+def _describe_radio(sample: InterfaceSample) -> list[str]:
+    found = [] if sample.level_dbm is None else [f"{sample.level_dbm:.0f}dBm"]
+    if sample.retries_per_s is not None:
+        found.append(f"{sample.retries_per_s:.0f} retries/s")
+    if sample.access_point:
+        since = "" if sample.joined_s is None else f" for {format_duration(sample.joined_s)}"
+        found.append(f"at {sample.access_point}{since}")
+    return found
 
 
 def _render_bandwidth_cell(value: BandwidthMeasurement) -> str | Cell:

@@ -15,7 +15,8 @@ from typing import Any
 
 import pytest
 
-from edgectl.agent.measure import device, network
+from edgectl.agent.measure import device, network, proc
+from edgectl.agent.measure.task import TaskProcesses, collect_cpu_s
 from edgectl.errors import RefusedError
 from tests.agent.conftest import AgentHost, eventually
 from tests.pace import patience
@@ -219,6 +220,32 @@ def test_cpu_of_children_that_come_and_go_is_counted(host: AgentHost) -> None:
     document = host.ask("probe", window_s=1.0)
     host.stop("work")
     assert document["tasks"]["work"]["used_cores"] > 0.1
+
+
+_NODE = """
+import threading, time
+def work():
+    while time.thread_time() < 0.004: pass
+thread = threading.Thread(target=work)
+thread.start()
+thread.join()
+print(time.process_time(), flush=True)
+input()
+"""
+
+
+def test_the_cpu_of_a_small_node_is_read_finer_than_in_ticks_and_of_all_its_threads() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-I", "-S", "-c", _NODE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as node:
+        assert node.stdin is not None
+        assert node.stdout is not None
+        used_s = float(node.stdout.readline())
+        table = proc.read_process_table()
+        found = collect_cpu_s(TaskProcesses({node.pid}, 0, {}), table)
+        node.stdin.close()
+    # What it used after its own look is the print, well below a tick; the main thread alone used 4 ms less.
+    assert found == {node.pid: pytest.approx(used_s + 0.001, abs=0.002)}
 
 
 def test_used_cores_are_the_machine_s_without_the_agent(host: AgentHost) -> None:

@@ -110,12 +110,15 @@ def a_process(pid: int, *, cpu_s: float, age_s: float) -> proc.Process:
 
 
 def test_a_process_that_comes_into_view_brings_no_more_than_its_average() -> None:
-    table = {1: a_process(1, cpu_s=6.0, age_s=100.0), 2: a_process(2, cpu_s=50.0, age_s=100.0)}
-    group = task.TaskProcesses({1, 2}, 0, {})
+    # Numbers that no process has: of others the kernel knows the time better.
+    old, new = 1 << 23, (1 << 23) + 1
+    table = {old: a_process(old, cpu_s=6.0, age_s=100.0), new: a_process(new, cpu_s=50.0, age_s=100.0)}
+    group = task.TaskProcesses({old, new}, 0, {})
     # 2 s for the known process, and half a core for the one that has run for 100 s.
-    assert task.compute_cores(group, table, {1: 4.0}, 1.0) == pytest.approx(2.5, abs=0.01)
-    young = {1: a_process(1, cpu_s=0.5, age_s=0.5)}
-    assert task.compute_cores(task.TaskProcesses({1}, 0, {}), young, {}, 1.0) == pytest.approx(0.5, abs=0.02)
+    assert task.compute_cores(group, table, {old: 4.0}, 1.0) == pytest.approx(2.5, abs=0.01)
+    young = {old: a_process(old, cpu_s=0.5, age_s=0.5)}
+    found = task.compute_cores(task.TaskProcesses({old}, 0, {}), young, {}, 1.0)
+    assert found == pytest.approx(0.5, abs=0.02)
 
 
 def test_the_ring_is_bounded_and_gives_the_newest_whole_sample(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from edgectl.agent.link import protocol
+from edgectl.agent.measure.counters import Rates
 from edgectl.agent.measure.task import TaskMeter
 from edgectl.agent.supervise import state_dir
 from edgectl.errors import RefusedError
@@ -93,7 +94,7 @@ def list_calls(host: AgentHost, states: dict[str, str]) -> set[str]:
     calls: set[str] = set()
     sys.setprofile(lambda frame, _event, _value: calls.add(frame.f_code.co_name))
     try:
-        found = TaskMeter(host.name, []).measure([], {}, {}, 1.0)
+        found = TaskMeter(host.name, []).measure([], {}, {}, 1.0, Rates())
     finally:
         sys.setprofile(None)
     assert {name: entry["state"] for name, entry in found.items()} == states

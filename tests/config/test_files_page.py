@@ -137,6 +137,7 @@ def test_keys_of_a_snapshot_are_complete() -> None:
         device=device,
         address="ana@10.0.0.1",
         machine="m/1000/a",
+        counters="installed",
     )
     document = SNAPSHOT_KIND.encode(
         type(SNAPSHOT)(taken_at=0.0, hosts={"h": sample}, manager=SNAPSHOT.manager)

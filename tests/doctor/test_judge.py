@@ -23,7 +23,7 @@ from edgectl.model.diagnosis import (
 from edgectl.model.inventory import Connection, Host
 from edgectl.model.resource import CPU, MEMORY
 from edgectl.model.ros import RosSettings
-from edgectl.model.snapshot import CapacitySource, TaskSample, TaskState
+from edgectl.model.snapshot import CapacitySource, TaskSample, TaskState, TrafficSource
 from tests.builders import a_link, a_robot, a_sample, a_snapshot, an_edge, an_inventory
 from tests.doctor.facts import DISK, FACTS, GI, LINK, LOGIND, MANAGER, ros_facts
 
@@ -387,6 +387,32 @@ def test_what_the_edges_lack_is_a_warning_for_each_resource() -> None:
     assert not [f for f in diagnose_fleet(fleet, MANAGER, {"edge1": FACTS}).findings if f.check == "room"]
 
 
+@pytest.mark.parametrize(
+    ("state", "source", "expected"),
+    [
+        ("installed", TrafficSource.COUNTERS, (OK, "byte counters of robot1", "")),
+        (
+            "installed",
+            TrafficSource.TCP,
+            (WARNING, "no byte counter for the present address of robot1", "edgectl counters install edge1"),
+        ),
+        (
+            "sudo: no",
+            TrafficSource.TCP,
+            (WARNING, "its byte counters cannot be read: sudo: no", "edgectl counters install edge1"),
+        ),
+    ],
+)
+def test_byte_counters_are_judged(
+    state: str, source: TrafficSource, expected: tuple[Severity, str, str]
+) -> None:
+    links = {"robot1": replace(a_link(), used_source=source)}
+    snapshot = a_snapshot(edge1=replace(a_sample(links=links), counters=state))
+    fleet = an_inventory(EDGE, ROBOT)
+    found = find_only(diagnose_fleet(fleet, MANAGER, {"edge1": FACTS}, (), snapshot), "traffic")
+    assert (found.level, found.message, found.remedy) == expected
+
+
 def test_traffic_that_is_partly_seen_is_a_warning_with_its_tasks() -> None:
     unseen = replace(a_link(), partial="udp unseen")
     slam = TaskSample(state=TaskState.READY, partial="udp unseen")
@@ -397,5 +423,6 @@ def test_traffic_that_is_partly_seen_is_a_warning_with_its_tasks() -> None:
         WARNING,
         "partial: udp unseen of slam to robot1; the declared demand stands",
     )
+    assert found.remedy.startswith("edgectl counters install edge1; ")
     whole = diagnose_fleet(fleet, MANAGER, {"edge1": FACTS}, (), a_snapshot(edge1=a_sample()))
     assert not [each for each in whole.findings if each.check == "traffic"]

@@ -43,6 +43,7 @@ from edgectl.model.snapshot import (
     Snapshot,
     TaskSample,
     TaskState,
+    TrafficSource,
 )
 
 LINK = LinkSample(
@@ -50,6 +51,7 @@ LINK = LinkSample(
     used_bytes_per_s=2.0,
     rtt_ms=3.0,
     partial="udp unseen",
+    used_source=TrafficSource.COUNTERS,
     capacity_source=CapacitySource.NIC,
     capacity_age_s=4.0,
     nominal=5.0,
@@ -59,7 +61,9 @@ TASK = TaskSample(
     spec_hash="s", generation=7, managed=False, restarts=8, exit_code=-9, detail="d",
     fields={"command": "c"}, last_exit=3, log_tail=("l",), limits="enforced", given_up=True, metrics={"fps": 29.5}, ended_at=2.5, file="f", orphaned=True, adoptable=True, needed="a1b2c3", partial="udp unseen",
 )  # fmt: skip
-INTERFACE = InterfaceSample(rx_bytes_per_s=1.0, tx_bytes_per_s=2.0, speed_bytes_per_s=3.0)
+INTERFACE = InterfaceSample(
+    rx_bytes_per_s=1.0, tx_bytes_per_s=2.0, speed_bytes_per_s=3.0, level_dbm=-61.0, retries_per_s=4.0, access_point="a", joined_s=5.0,
+)  # fmt: skip
 DEVICE = DeviceSample(
     load_1m=1.0,
     temperature_c=-2.0,
@@ -75,7 +79,7 @@ OTHER = OtherTask(
 HOST = HostSample(
     role=Role.ROBOT, status=HostStatus.UNREACHABLE, error="e", error_kind="k", hint="h", sample_age_s=1.5, resident=True, usage={"cpu": CPU_USE, "memory": MEMORY_USE},
     links={"r": LINK}, tasks={"t": TASK}, device=DEVICE, generations={"t": 9},
-    other_tasks=(OTHER,), foreign_tasks=(OTHER,), address="a", machine="m", grant=4, foreign_grant=3, foreign_hosts=("x",),
+    other_tasks=(OTHER,), foreign_tasks=(OTHER,), address="a", machine="m", grant=4, foreign_grant=3, foreign_hosts=("x",), counters="installed",
 )  # fmt: skip
 PLACEMENT = Placement(
     host="h", since=1.0, spec_hash="s", generation=2, file="f", address="a", machine="m", instance="i"

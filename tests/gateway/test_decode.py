@@ -20,7 +20,8 @@ from edgectl.gateway.probe_reply import (
     decode_unowned_tasks,
 )
 from edgectl.model.inventory import BaseLoad, Capacity, Host
-from edgectl.model.snapshot import CapacitySource, HostSample, HostStatus, TaskState
+from edgectl.model.resource import NETWORK
+from edgectl.model.snapshot import CapacitySource, HostSample, HostStatus, TaskState, TrafficSource
 from tests.builders import NOW, a_robot, a_snapshot, an_edge
 
 Document = dict[str, object]
@@ -178,6 +179,36 @@ def test_a_link_is_partly_seen_where_the_host_says_so_or_a_living_task_of_the_ro
 
     assert find_gap() == find_gap((), link="udp unseen") == "udp unseen"
     assert find_gap(("robot2",)) == find_gap((), "ready") == find_gap(state="failed") == ""
+
+
+def test_what_counters_of_a_link_see_of_nobody_is_of_the_tasks_that_they_see_by_link_only() -> None:
+    """3 MB/s of UDP, 0.5 of them of camera, which has a control group; the rest is of slam and lidar."""
+    counted = {"rx_bytes_per_s": 1e6, "tx_bytes_per_s": 2.2e6, "other_bytes_per_s": 3e6, "source": "counters"}
+    by_link = a_task(
+        partial="udp counted by link only", links={"robot1": 1e5}, rx_bytes_per_s=1e5, tx_bytes_per_s=0.0
+    )
+    tasks = {
+        "camera": a_task(links={"robot1": 5e5}, rx_bytes_per_s=5e5),
+        "slam": by_link,
+        "lidar": {**by_link, "links": {}, "rx_bytes_per_s": 0.0},
+        "other": by_link,
+    }
+    robots_of = dict.fromkeys(("camera", "slam", "lidar"), ("robot1",))
+
+    def decode(**changed: object) -> HostSample:
+        document = a_document(links={"robot1": {**counted, **changed}}, tasks=tasks, counters="installed")
+        return decode_document(document, robots=("robot1",), robots_of=robots_of)
+
+    sample = decode()
+    assert (sample.counters, sample.links["robot1"].used_source) == ("installed", TrafficSource.COUNTERS)
+    assert (sample.links["robot1"].used_bytes_per_s, sample.links["robot1"].partial) == (3.2e6, "")
+    found = {name: (task.links or {}).get("robot1") for name, task in sample.tasks.items()}
+    # 3.2 MB/s - 0.7 that is known of tasks, half each.
+    assert found == {"camera": 5e5, "slam": 1e5 + 1.25e6, "lidar": 1.25e6, "other": 1e5}
+    assert sample.tasks["slam"].used[NETWORK.name] == 1e5 + 1.25e6
+    # Besides TCP there was less.
+    assert (decode(other_bytes_per_s=1e6).tasks["lidar"].links or {})["robot1"] == 5e5
+    assert not decode(source="tcp").tasks["lidar"].links
 
 
 def test_traffic_that_is_partly_seen_does_not_tell_what_a_link_carries() -> None:

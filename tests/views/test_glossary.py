@@ -15,6 +15,7 @@ from edgectl.experiments.views.replay import ReplayView
 from edgectl.formats.document import Document
 from edgectl.model.cycle import Cycle
 from edgectl.model.resource import RESOURCES
+from edgectl.views.byte_counters import ByteCountersView
 from edgectl.views.diagnosis import DiagnosisView
 from edgectl.views.dry_run import RequestsView
 from edgectl.views.events import EventsView
@@ -32,6 +33,7 @@ from edgectl.views.watch_cycle import CycleView
 from tests.builders import NOW
 from tests.experiments import test_experiment_view, test_simulation_and_replay_views
 from tests.views import (
+    test_byte_counters,
     test_demands,
     test_describe,
     test_diagnosis,
@@ -63,7 +65,11 @@ def list_views() -> Iterator[View]:
     yield DrainView([test_forms.RESULTS], [("slam", "edge1")], done=False)
     yield RequestsView([REQUEST])
     yield EventsView(test_describe.EVENTS)
-    yield from (ProfilersView(test_profilers.FOUND), DiagnosisView(test_diagnosis.FOUND))
+    yield from (
+        ByteCountersView(test_byte_counters.FOUND),
+        ProfilersView(test_profilers.FOUND),
+        DiagnosisView(test_diagnosis.FOUND),
+    )
     yield ExplanationView(*test_explanation.taken_apart())
     yield ProfileView([test_demands.a_profile()])
     yield CycleView(test_live.cycle(results=test_live.results(test_live.MOVED), events=(test_live.EVENT,)))
@@ -146,7 +152,8 @@ def test_a_key_of_the_glossary_is_in_some_document() -> None:
 
 # Of hosts, tasks and changes that no sample has.
 NOT_IN_THE_SAMPLES = {
-    "ended_at", "exit_code", "given_up", "gpu_share", "boot_id", "clock_skew_s", "enforcement", "partial", "log_tail",
+    "ended_at", "exit_code", "given_up", "gpu_share", "boot_id", "clock_skew_s", "enforcement", "partial", "log_tail", "level_dbm",
+    "retries_per_s", "access_point", "joined_s", "counters",
     "object", "type", "speed_bytes_per_s", "resident", "user", "hold", "release", "proxy_jump",
 }  # fmt: skip
 

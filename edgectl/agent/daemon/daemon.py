@@ -12,8 +12,10 @@ import time
 
 from ..link import fast_json, heartbeat
 from ..link.fast_json import Document
-from ..measure import device, network, proc
+from ..measure import counters, device, network, proc
 from ..measure.udp import UdpMeter
+from ..measure.wireless import RadioMeter
+from ..supervise import state_dir
 from . import pidfile, sample_ring
 from .process_tracker import ProcessTracker
 
@@ -80,6 +82,8 @@ class ProfilerDaemon:
         self.peers = network.resolve_robots(self.peer_links)
         self.traffic = network.TrafficMeter(dict(self.addresses, **self.peers))
         self.udp = UdpMeter()
+        self.counted = counters.CounterMeter(state_dir.get_fleet() if self.links else "")
+        self.wireless = RadioMeter()
         self.rates: "Document | None" = None
         self.number = 0
         self.cost, self.spent, self.begun, self.next_look = (
@@ -131,9 +135,12 @@ class ProfilerDaemon:
         before, self.totals = self.totals, network.read_interface_bytes()
         probes.close(self.addresses)
         udp = self.udp.find_sockets()
-        tasks, used = self.tasks.measure(flows, self.addresses, seconds)
+        # A reading starts programs: it is as rare as keeps its cost a share of a core.
+        spacing_s = self.counted.cost_s / counters.CPU_SHARE
+        counted = self.counted.measure(self.addresses, self.slow["routes"], spacing_s)
+        tasks, used = self.tasks.measure(flows, self.addresses, seconds, counted)
         links = network.build_links(
-            self.addresses, flows, probes, self.traffic.seconds, self.slow["routes"], udp
+            self.addresses, flows, probes, self.traffic.seconds, self.slow["routes"], udp, counted
         )
         raw = {
             "cpu": cpu["used_cores"] - sum(each["used_cores"] for each in tasks.values()),
@@ -150,7 +157,9 @@ class ProfilerDaemon:
             carries={robot: link["carries_bytes_per_s"] for robot, link in links.items()},
             radios={robot: link["radio_bytes_per_s"] for robot, link in links.items()},
             partial_links={robot: link["partial"] for robot, link in links.items()},
-            partial_tasks=self.tasks.describe_gaps(udp, self.addresses),
+            partial_tasks=self.tasks.describe_gaps(udp, self.addresses, counted),
+            sources={robot: link["source"] for robot, link in links.items()},
+            counters=counted.state,
             peers=network.build_peers(self.peers, flows, self.traffic.seconds),
         )
         return {
@@ -178,6 +187,7 @@ class ProfilerDaemon:
         self.slow: Document = {
             "routes": network.find_interfaces(addresses),
             "speeds": {name: network.read_interface_speed(name) for name in network.read_interface_bytes()},
+            "wireless": self.wireless.measure(),
             "temperature_c": device.read_temperature_c(),
             "gpu_share": device.read_gpu_share(),
         }
@@ -194,6 +204,7 @@ def _subtract_tasks(robot: str, link: Document, tasks: "dict[str, Document]") ->
     return {
         "rx": link["rx_bytes_per_s"] - sum(each["rx"] for each in own),
         "tx": link["tx_bytes_per_s"] - sum(each["tx"] for each in own),
+        "other": link.get("other_bytes_per_s", 0.0),
         "rtt_ms": link["rtt_ms"],
     }
 

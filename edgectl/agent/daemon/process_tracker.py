@@ -9,7 +9,7 @@ import os
 import time
 
 from ..link.fast_json import Document
-from ..measure import network, proc, task
+from ..measure import counters, network, proc, task
 from ..supervise import state_dir
 
 SCAN_S = 5.0
@@ -31,28 +31,40 @@ class ProcessTracker:
         self.then: "dict[str, dict[int, float]]" = {}
         self.ticks: "dict[int, int]" = {}
         self.sockets: "dict[str, set[int]]" = {}
+        self.scopes: "dict[str, str]" = {}
         self.levels: "dict[str, tuple[int, int]]" = {}
         self.marks: "dict[str, tuple[int, ...]] | None" = None
         self.next_scan = 0.0
 
     def measure(
-        self, flows: "list[network.Flow]", addresses: "dict[str, list[str]]", seconds: float
+        self,
+        flows: "list[network.Flow]",
+        addresses: "dict[str, list[str]]",
+        seconds: float,
+        counted: "counters.Rates",
     ) -> "tuple[dict[str, Document], dict[str, int]]":
         """Measure (rates, bytes) by key of the run, of the living tasks."""
         table = self._read_table()
         rates: "dict[str, Document]" = {}
         used: "dict[str, int]" = {}
         for name, group in self.groups.items():
-            rates[name] = task.compute_traffic(self.sockets[name], flows, addresses, seconds)
+            rates[name] = task.compute_traffic(
+                self.sockets[name], flows, addresses, seconds, counted.get_group(self.scopes[name])
+            )
             rates[name]["used_cores"] = task.compute_cores(group, table, self.then.get(name, {}), seconds)
             base, rss = self.levels[name]
             used[name] = max(0, base + _sum_rss(group, table) - rss)
         self.then = {name: task.collect_cpu_s(group, table) for name, group in self.groups.items()}
         return rates, used
 
-    def describe_gaps(self, udp: "dict[int, str]", addresses: "dict[str, list[str]]") -> "dict[str, str]":
+    def describe_gaps(
+        self, udp: "dict[int, str]", addresses: "dict[str, list[str]]", counted: "counters.Rates"
+    ) -> "dict[str, str]":
         """Describe what of the traffic is not seen, by key of the run, of the tasks last measured."""
-        return {name: task.describe_gap(held, udp, addresses) for name, held in self.sockets.items()}
+        return {
+            name: task.describe_gap(held, udp, addresses, counted, self.scopes[name])
+            for name, held in self.sockets.items()
+        }
 
     def _read_table(self) -> "dict[int, proc.Process]":
         """Read the relevant processes: the known ones, or all together with their assignment to tasks."""
@@ -81,6 +93,7 @@ class ProcessTracker:
             if pid in table
         }
         self.sockets = {name: task.list_sockets(group.pids) for name, group in self.groups.items()}
+        self.scopes = {name: counters.find_scope(group.pids) for name, group in self.groups.items()}
         self.levels = {
             name: (task.read_task_memory(group, table), _sum_rss(group, table))
             for name, group in self.groups.items()

@@ -5,7 +5,7 @@ No sample window passes.
 
 from ..link import protocol
 from ..link.fast_json import Document
-from ..measure import device, network, proc, task
+from ..measure import counters, device, network, proc, task
 from ..measure.udp import find_sockets
 from ..supervise import state_dir, status
 from . import pidfile, process_tracker
@@ -48,12 +48,15 @@ def _build_measurements(request: Document, sample: Document, age: float) -> Docu
         "temperature_c": levels["temperature_c"],
         "gpu_share": levels["gpu_share"],
         "interfaces": {
-            name: network.build_interface_entry(rate, levels["speeds"].get(name))
+            name: network.build_interface_entry(
+                rate, levels["speeds"].get(name), levels["wireless"].get(name)
+            )
             for name, rate in rates["interfaces"].items()
         },
         "links": {
             robot: _build_link_entry(robot, rate, levels, alive) for robot, rate in rates["links"].items()
         },
+        "counters": levels["counters"],
         "peers": levels["peers"],
         "tasks": {name: dict(entry, **_build_task_rates(rate)) for name, (entry, rate) in now.items()},
     }
@@ -71,6 +74,8 @@ def _build_link_entry(robot: str, rate: Document, levels: Document, alive: "list
         "carries_bytes_per_s": levels["carries"][robot],
         "radio_bytes_per_s": levels["radios"][robot],
         "partial": levels["partial_links"][robot],
+        "other_bytes_per_s": round(max(0.0, rate["other"]), 1),
+        "source": levels["sources"][robot],
     }
 
 
@@ -141,7 +146,7 @@ def _measure_since_start(
     held = task.list_sockets(group.pids)
     return dict(
         task.compute_traffic(held, flows, addresses, seconds),
-        partial=task.describe_gap(held, find_sockets(busy=False), addresses),
+        partial=task.describe_gap(held, find_sockets(busy=False), addresses, counters.Rates(), ""),
         used_cores=task.compute_cores(group, table, {}, seconds),
         used_bytes=task.read_task_memory(group, table),
     )

@@ -137,6 +137,8 @@ def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C90
         from ..daemon.control import report_profiler as operation
     elif name == protocol.OP_PROFILER_RUN:
         from ..daemon.daemon import run_profiler as operation
+    elif name == protocol.OP_COUNTERS:
+        from ..measure.counters_setup import serve_counters as operation
     elif name == protocol.OP_DOCTOR:
         from ..measure.doctor import collect_facts as operation
     else:

@@ -9,6 +9,7 @@ VERSION = 1
 # Operations: key ``op`` of a request.
 OP_ADOPT = "adopt"
 OP_CHECK = "check"
+OP_COUNTERS = "counters"
 OP_DOCTOR = "doctor"
 OP_FETCH = "fetch"
 OP_FOLLOW = "follow"
@@ -44,6 +45,7 @@ CLAIM_KEYS = ("holder", "session", "manager", "revision", "who", "verb", "ttl_s"
 REQUEST_KEYS = {
     OP_ADOPT: ("tasks", "former"),
     OP_CHECK: ("command", "graph", "prelude", "ros", "env", "timeout_s"),
+    OP_COUNTERS: ("action", "links"),
     OP_DOCTOR: ("links", "prelude", "ros", "packages", "env", "timeout_s"),
     OP_FETCH: ("task", "workdir", "file", "most", "offset"),
     OP_FOLLOW: ("task", "tail"),
@@ -153,6 +155,7 @@ PROBE_KEYS = (
     "temperature_c",
     "gpu_share",
     "interfaces",
+    "counters",
     "links",
     "lease",
     "tasks",
@@ -173,6 +176,13 @@ FINAL_STATES = (COMPLETED, FAILED, CRASHLOOP, STOPPED)
 
 # ``partial`` of a link and of a task in the reply to OP_PROBE: what its traffic lacks; empty where nothing.
 UDP_UNSEEN = "udp unseen"
+# The same of a task whose links have counters, and which is in no control group of its own.
+UDP_BY_LINK = "udp counted by link only"
+# ``source`` of a link there: the bytes of TCP connections, or counters of all protocols.
+SOURCE_TCP, SOURCE_COUNTERS = "tcp", "counters"
+# ``counters`` there and ``state`` in the reply to OP_COUNTERS: empty without an installation, this, or why
+# they cannot be read.
+COUNTERS_INSTALLED = "installed"
 
 # ``exit`` in the reply to OP_CHECK where the ROS graph was to be asked and nobody could be.
 UNKNOWN_EXIT = 2

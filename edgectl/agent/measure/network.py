@@ -3,7 +3,8 @@ interface.
 
 A connection belongs to a robot when its *remote* address is the robot's: on a machine that hosts a whole test
 fleet with loopback addresses, both ends of a connection are visible. The kernel counts bytes per TCP
-connection; UDP counts in the interface totals only, so where there is any the reading is partial.
+connection; UDP counts in the interface totals only, so where there is any the reading is partial, unless
+counters are installed (module ``counters``).
 """
 
 import errno
@@ -27,6 +28,8 @@ _PROMPT_S, _LISTINGS = 0.01, 3
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Dict, List
+
+    from .counters import Rates
 
     # Robot -> its addresses.
     Addresses = Dict[str, List[str]]
@@ -142,10 +145,11 @@ def resolve_robots(links: "list[Document]") -> "Addresses":
 def _parse_address(address: str) -> "list[str]":
     for family in (socket.AF_INET, socket.AF_INET6):
         try:
-            socket.inet_pton(family, address.partition("%")[0])
+            packed = socket.inet_pton(family, address.partition("%")[0])
         except OSError:
             continue
-        return [sockets.unmap_address(address.partition("%")[0])]
+        # As the kernel writes it: it is compared with the ends of connections.
+        return [sockets.unmap_address(socket.inet_ntop(family, packed))]
     return []
 
 
@@ -228,20 +232,44 @@ def build_links(
     seconds: float,
     interfaces: "dict[str, str | None]",
     udp: "dict[int, str]",
+    counted: "Rates",
 ) -> "dict[str, Document]":
     """Build robot -> rates, round-trip time, interface, reachability, and what the link carries now.
 
-    ``udp``: the sockets as ``UdpMeter.find_sockets``; a link with a connected one is partly seen.
+    ``udp``: the sockets as ``UdpMeter.find_sockets``; a link with a connected one is partly seen, unless it
+    is ``counted``.
     """
     radios, unseen = radio.read_rates(interfaces.values()), set(udp.values())
-    return {
-        robot: dict(
+    links = {}
+    for robot, found in addresses.items():
+        links[robot] = dict(
             _build_link(robot, found, flows, probes, seconds),
             interface=interfaces[robot],
             radio_bytes_per_s=radios.get(interfaces[robot]),
+            source=protocol.SOURCE_TCP,
             partial=protocol.UDP_UNSEEN if unseen.intersection(found) else "",
         )
-        for robot, found in addresses.items()
+        if counted.covers(found):
+            links[robot].update(_build_counted(links[robot], found, counted))
+    return links
+
+
+def _build_counted(link: Document, addresses: "list[str]", counted: "Rates") -> Document:
+    """Build the changes of a link with counters: all protocols are in its traffic, and whatever came is an
+    answer.
+    """
+    total = {way: sum(counted.robots[address][way] for address in addresses) for way in ("rx", "tx", "other")}
+    return {
+        "rx_bytes_per_s": round(total["rx"], 1),
+        "tx_bytes_per_s": round(total["tx"], 1),
+        "other_bytes_per_s": round(total["other"], 1),
+        "reachable": True if total["rx"] else link["reachable"],
+        # Where TCP met the limit of the link, the rest was under way beside it.
+        "carries_bytes_per_s": None
+        if link["carries_bytes_per_s"] is None
+        else round(link["carries_bytes_per_s"] + total["other"], 1),
+        "source": protocol.SOURCE_COUNTERS,
+        "partial": "",
     }
 
 
@@ -343,13 +371,16 @@ def compute_rates(
     return found
 
 
-def build_interface_entry(rate: "dict[str, float]", speed_bytes_per_s: "int | None") -> Document:
-    """Build the entry of one interface in a reply."""
-    return {
+def build_interface_entry(
+    rate: "dict[str, float]", speed_bytes_per_s: "int | None", wireless: "Document | None"
+) -> Document:
+    """Build the entry of one interface in a reply; ``wireless``: what a ``RadioMeter`` found of it."""
+    entry = {
         "rx_bytes_per_s": round(rate["rx"], 1),
         "tx_bytes_per_s": round(rate["tx"], 1),
         "speed_bytes_per_s": speed_bytes_per_s,
     }
+    return dict(entry, **wireless) if wireless else entry
 
 
 def read_interface_speed(name: str) -> "int | None":

@@ -9,8 +9,10 @@ from ..link import protocol
 from ..link.fast_json import Document
 from ..supervise import adoption, grants, other_tasks, state_dir, status
 from . import device, metrics, network, proc
+from .counters import CounterMeter
 from .task import TaskMeter
 from .udp import UdpMeter
+from .wireless import RadioMeter
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -104,7 +106,9 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
     peers = network.resolve_robots(request.get("peers", []))
     tasks = TaskMeter(request["host"], request.get("detect", []))
     checks = _RunningChecks(request["host"], request.get("checks", []), tasks.before)
+    counted = CounterMeter(state_dir.get_fleet() if addresses else "")
     traffic, totals = network.TrafficMeter(dict(addresses, **peers)), network.read_interface_bytes()
+    radios = RadioMeter()
     udp, cpu, started = UdpMeter(), device.CpuMeter(), time.monotonic()
     probes = network.ConnectProbes(addresses)
     probes.wait(max(started + window, time.monotonic() + _MIN_CONNECT_S))
@@ -112,9 +116,11 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
     seconds = time.monotonic() - started
     flows, rates = traffic.flows(), network.compute_rates(totals, network.read_interface_bytes(), seconds)
     traffic.close()
-    datagrams = udp.find_sockets()
-    measured = tasks.measure(flows, datagrams, addresses, seconds)
+    interfaces = network.find_interfaces(addresses)
+    datagrams, rates_counted = udp.find_sockets(), counted.measure(addresses, interfaces)
+    measured = tasks.measure(flows, datagrams, addresses, seconds, rates_counted)
     probes.close(addresses)
+    wireless = radios.measure()
     return {
         "psutil": device.find_psutil_folder() is not None,
         "window_s": round(seconds, 4),
@@ -123,12 +129,13 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
         "temperature_c": device.read_temperature_c(),
         "gpu_share": device.read_gpu_share(),
         "interfaces": {
-            name: network.build_interface_entry(rate, network.read_interface_speed(name))
+            name: network.build_interface_entry(rate, network.read_interface_speed(name), wireless.get(name))
             for name, rate in rates.items()
         },
         "links": network.build_links(
-            addresses, flows, probes, traffic.seconds, network.find_interfaces(addresses), datagrams
+            addresses, flows, probes, traffic.seconds, interfaces, datagrams, rates_counted
         ),
+        "counters": rates_counted.state,
         "peers": network.build_peers(peers, flows, traffic.seconds),
         "tasks": measured,
     }, checks

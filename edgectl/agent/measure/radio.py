@@ -44,7 +44,7 @@ def read_rates(wanted: "Iterable[str | None]") -> "dict[str | None, float]":
 
 
 def _read_rate(name: str) -> float:
-    return _ask_driver(name) or _ask_iw(name)
+    return _ask_driver(name) or parse_iw_link(run_iw("dev", name, "link"))
 
 
 def _ask_driver(name: str) -> float:
@@ -62,14 +62,14 @@ def _ask_driver(name: str) -> float:
     return float(max(0, struct.unpack_from("=i", answer, 16)[0])) / 8.0
 
 
-def _ask_iw(name: str) -> float:
-    """Ask iw(8), where it is installed."""
+def run_iw(*words: str) -> str:
+    """Run iw(8); empty where it is not installed or fails."""
     import subprocess
 
     path = os.environ.get("PATH", "/usr/bin:/bin") + ":/usr/sbin:/sbin"
     try:
         done = subprocess.run(  # noqa: UP022 - capture_output came with Python 3.7
-            ["iw", "dev", name, "link"],
+            ["iw", *words],
             check=False,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -78,8 +78,8 @@ def _ask_iw(name: str) -> float:
             timeout=_IW_TIMEOUT_S,
         )
     except (OSError, subprocess.SubprocessError):
-        return 0.0
-    return parse_iw_link(done.stdout.decode("utf-8", "replace"))
+        return ""
+    return done.stdout.decode("utf-8", "replace")
 
 
 def parse_iw_link(text: str) -> float:

@@ -5,10 +5,13 @@ tasks.
 from ..link import protocol
 from ..link.fast_json import Document
 from ..supervise import liveness, lockfile, state_dir, status
-from . import detection, proc, sockets
+from . import counters, detection, proc, sockets
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Iterable
+
+    from .counters import Rates
     from .network import Flow
 
 # Up to this size the kernel sums up the pages of a process (PSS) within a few ms.
@@ -98,17 +101,21 @@ class TaskMeter:
         udp: "dict[int, str]",
         addresses: "dict[str, list[str]]",
         seconds: float,
+        counted: "Rates",
     ) -> "dict[str, Document]":
         """Measure: task -> entry with rates."""
         found = {}
         for table, name, group in self._find_groups():
             held = list_sockets(group.pids) if flows or udp else set()
+            scope = counters.find_scope(group.pids) if counted.tasks else ""
             found[name] = dict(
                 group.entry,
                 used_cores=compute_cores(group, table, self.before.get(name, {}), seconds),
                 used_bytes=read_task_memory(group, table),
-                partial=describe_gap(held, udp, addresses),
-                **build_traffic_entry(compute_traffic(held, flows, addresses, seconds)),
+                partial=describe_gap(held, udp, addresses, counted, scope),
+                **build_traffic_entry(
+                    compute_traffic(held, flows, addresses, seconds, counted.get_group(scope))
+                ),
             )
         return found
 
@@ -119,7 +126,7 @@ def collect_cpu_s(group: TaskProcesses, table: "dict[int, proc.Process]") -> "di
     A child's time passes to the process that reaps it, so the sum over the tree only grows. The supervisor's
     own work is not the task's, but it reaps the task's orphans.
     """
-    seconds = {pid: table[pid].cpu + table[pid].child_cpu for pid in group.pids if pid in table}
+    seconds = {pid: proc.read_cpu_s(table[pid]) + table[pid].child_cpu for pid in group.pids if pid in table}
     if group.above in table:
         seconds[group.above] = table[group.above].child_cpu
     return seconds
@@ -163,21 +170,40 @@ def list_sockets(pids: "set[int]") -> "set[int]":
     return {inode for pid in pids for inode in sockets.list_socket_inodes(pid)}
 
 
-def describe_gap(held: "set[int]", udp: "dict[int, str]", addresses: "dict[str, list[str]]") -> str:
+def describe_gap(
+    held: "set[int]",
+    udp: "dict[int, str]",
+    addresses: "dict[str, list[str]]",
+    counted: "Rates",
+    scope: str,
+) -> str:
     """Describe what of the traffic over the sockets ``held`` is not seen; empty where all is.
 
     ``udp`` as ``UdpMeter.find_sockets``: the sockets that are connected to a robot, or to nobody.
     """
-    robots = {"", *(address for found in addresses.values() for address in found)}
-    return protocol.UDP_UNSEEN if any(udp[inode] in robots for inode in held & udp.keys()) else ""
+    robots = {address for found in addresses.values() for address in found}
+    ends = {udp[inode] for inode in held & udp.keys()} & {"", *robots}
+    unseen = robots - counted.robots.keys()
+    if not ends or (robots and not unseen and counted.get_group(scope) is not None):
+        return ""
+    return (
+        protocol.UDP_UNSEEN
+        if not robots or (unseen if "" in ends else unseen & ends)
+        else protocol.UDP_BY_LINK
+    )
 
 
 def compute_traffic(
-    held: "set[int]", flows: "list[Flow]", addresses: "dict[str, list[str]]", seconds: float
+    held: "set[int]",
+    flows: "list[Flow]",
+    addresses: "dict[str, list[str]]",
+    seconds: float,
+    counted: "dict[str, Document] | None" = None,
 ) -> Document:
     """Compute bytes/s over the sockets ``held``, in all and with each robot.
 
-    Traffic inside this host does not count.
+    ``counted``: what counters of its control group saw, by address: it counts instead for the robots. Traffic
+    inside this host does not count.
     """
     robots = {address: robot for robot, found in addresses.items() for address in found}
     own = [flow for flow in flows if flow.inode in held and (flow.remote in robots or not _is_internal(flow))]
@@ -185,10 +211,20 @@ def compute_traffic(
     for flow in own:
         if flow.remote in robots:
             by_robot.setdefault(robots[flow.remote], []).append(flow)
-    return dict(
-        _compute_rates(own, seconds),
-        robots={robot: _compute_rates(each, seconds) for robot, each in sorted(by_robot.items())},
-    )
+    rates = {robot: _compute_rates(each, seconds) for robot, each in sorted(by_robot.items())}
+    if counted is not None:
+        rates = {
+            robot: _add_rates(counted[each] for each in found if each in counted)
+            for robot, found in sorted(addresses.items())
+            if any(each in counted for each in found)
+        }
+    others = _compute_rates([flow for flow in own if flow.remote not in robots], seconds)
+    return dict(_add_rates([others, *rates.values()]), robots=rates)
+
+
+def _add_rates(rates: "Iterable[Document]") -> Document:
+    listed = list(rates)
+    return {way: sum(each[way] for each in listed) for way in ("rx", "tx")}
 
 
 def _compute_rates(flows: "list[Flow]", seconds: float) -> Document:

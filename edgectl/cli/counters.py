@@ -1,0 +1,99 @@
+"""Commands for the byte counters of hosts: install, show, remove."""
+
+from typing import Annotated
+
+from typer import Argument, Exit, Option
+
+from edgectl.cli import console, exit_codes, options
+from edgectl.cli.completion import complete_hosts as host_names
+from edgectl.cli.user_files import load_inputs
+from edgectl.views.output_format import OutputFormat
+
+_HostsArgument = Annotated[
+    list[str] | None,
+    Argument(
+        metavar="[HOST...]",
+        autocompletion=host_names,
+        help="Edges of the inventory; default: all.",
+        show_default=False,
+    ),
+]
+_ScriptOption = Annotated[
+    bool, Option("--script", help="Print the script that root has to run on the one HOST; change nothing.")
+]
+
+
+def counters_install_command(
+    *,
+    hosts: _HostsArgument = None,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    output: options.NamedOutput = OutputFormat.TABLE,
+    script: _ScriptOption = False,
+) -> None:
+    """Install byte counters of nftables on edges, so that UDP is measured too, as of ROS 2.
+
+    Needs root once per host: a login as root, or sudo. Install again after a change of robots.
+
+    Examples:
+        edgectl counters install
+        edgectl counters install edge1 --script
+    """
+    _run_action("install", hosts or [], inventory, tasks, output, script=script)
+
+
+def counters_remove_command(
+    *,
+    hosts: _HostsArgument = None,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    output: options.NamedOutput = OutputFormat.TABLE,
+    script: _ScriptOption = False,
+) -> None:
+    """Remove the byte counters of this fleet from edges, and nothing else.
+
+    Examples:
+        edgectl counters remove edge1
+    """
+    _run_action("remove", hosts or [], inventory, tasks, output, script=script)
+
+
+def counters_show_command(
+    *,
+    hosts: _HostsArgument = None,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    output: options.NamedOutput = OutputFormat.TABLE,
+) -> None:
+    """Show the bytes of each robot since the installation, and the rates of one second.
+
+    Examples:
+        edgectl counters show
+        edgectl counters show edge1 -o json
+    """
+    _run_action("show", hosts or [], inventory, tasks, output, script=False)
+
+
+def _run_action(
+    action: str,
+    hosts: list[str],
+    inventory: options.InventoryOption,
+    tasks: options.TasksOption,
+    output: OutputFormat,
+    *,
+    script: bool,
+) -> None:
+    from edgectl.cli.connect import build_fleet
+    from edgectl.errors import UsageError
+    from edgectl.usecases.byte_counters import ask_counters, build_script
+    from edgectl.views.byte_counters import ByteCountersView
+
+    if script and len(hosts) != 1:
+        raise UsageError("--script needs one HOST", hint=f"edgectl counters {action} HOST --script")
+    fleet = build_fleet(load_inputs(inventory, tasks))
+    if script:
+        console.print_text(build_script(fleet, hosts[0], action))
+        return
+    found = ask_counters(fleet, hosts, action)
+    console.print_view(ByteCountersView(found), output)
+    raise Exit(exit_codes.of_counters(found))
