@@ -5,8 +5,6 @@ The rules are in a table of the fleet alone and only count: no packet is changed
 Both sides load this file: the agent runs the scripts, the manager prints them for an operator. Pure.
 """
 
-from binascii import hexlify
-
 # Where nft may be; sudo runs it by this path.
 NFT_PATHS = ("/usr/sbin/nft", "/sbin/nft", "/usr/bin/nft", "/usr/local/sbin/nft")
 # Where the installation keeps the rules.
@@ -147,7 +145,7 @@ def _build_sudoers_lines(fleet: str, nft: str, path: str, uid: int) -> "list[str
     It is checked before it is used, since a bad one disables sudo.
     """
     sudoers = _get_sudoers_file(fleet, uid)
-    alias = "EDGECTL_%s_%d" % (hexlify(fleet.encode()).decode().upper(), uid)
+    alias = "EDGECTL_%s_%d" % (fleet.encode().hex().upper(), uid)
     text = "\n".join(
         [
             "# Made by edgectl counters install: reading of the byte counters of fleet %s." % fleet,

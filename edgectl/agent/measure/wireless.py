@@ -4,12 +4,11 @@ From iw(8) where it is installed, else from /proc/net/wireless and the wireless 
 where the host has no radio.
 """
 
-import struct
 import time
 
 from ..link.fast_json import Document
 from . import proc, radio
-from .sockets import socket
+from .sockets import socket, struct
 
 # ioctl SIOCGIWAP of the wireless extensions: a struct sockaddr behind the name of 16 bytes.
 _GET_ACCESS_POINT = 0x8B15
