@@ -54,8 +54,7 @@ faults: setup
 	@.ci/need-faults
 	@.ci/need-etcd
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.faults --seed $(or $(SEED),1)
-	@$(PY) -m tests.simulation.two_managers --seed $(or $(SEED),1)
-	@$(PY) -m tests.simulation.split_managers --seed $(or $(SEED),1)
+	@$(PY) -m tests.simulation --seed $(or $(SEED),1)
 	@$(PY) -m tests.suite --whole tests/usecases/test_recovery.py tests/usecases/test_interrupted_commands.py tests/usecases/test_random_events.py -n 2 --dist load
 
 # At least 100,000 damaged inputs to every decoder together; make fuzz SEED=7 damages them otherwise.
