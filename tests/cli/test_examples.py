@@ -187,7 +187,7 @@ def test_every_example_of_a_running_fleet_runs(
     give_agent(tmp_path / "state")
     give_key(tmp_path / "state", "demo")
     codes = {}
-    with stopped(site, env):
+    with stopped(env, site):
         for line in examples():
             if not line.startswith(OF_FILES):
                 codes[line] = (

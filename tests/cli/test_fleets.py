@@ -33,7 +33,7 @@ def fleets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
     monkeypatch.setattr("sys.stdin", open(os.devnull))  # noqa: SIM115, PTH123 - closed below
     env = dict(os.environ)
-    with sys.stdin, stopped(tmp_path / "lab", env), stopped(tmp_path / "hall", env):
+    with sys.stdin, stopped(env, tmp_path / "lab", tmp_path / "hall"):
         yield tmp_path
 
 

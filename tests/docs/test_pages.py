@@ -50,7 +50,7 @@ def test_every_block_runs(page: Path, tmp_path: Path) -> None:
     give_key(tmp_path / "state", "demo")
     (site / "docs").symlink_to(ROOT / "docs")
     here = site
-    with stopped(site, env):
+    with stopped(env, site):
         for block in blocks(page):
             if not block.skipped:
                 here = run(block, here, tmp_path / "cwd", env, page)

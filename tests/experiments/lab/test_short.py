@@ -50,7 +50,7 @@ def test_a_tiny_mission_under_two_schemes(tmp_path: Path) -> None:
         "json",
     ]
     fleet = {"EDGECTL_INVENTORY": "tasks/mission/fleet.yaml", "EDGECTL_TASKS": "tasks/mission/tasks.yaml"}
-    with stopped(site, env | fleet):
+    with stopped(env | fleet, site):
         done = subprocess.run(
             command, cwd=site, env=env, capture_output=True, text=True, timeout=patience(200), check=False
         )
