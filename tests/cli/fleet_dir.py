@@ -10,7 +10,7 @@ import pytest
 
 from edgectl.config.load import load_inventory
 from edgectl.state.fleet_dir import ensure_fleet_dir
-from tests.compiled_agent import give_agent, give_key
+from tests.compiled_agent import give_agent_and_keys
 from tests.leftovers import end_started_in
 
 
@@ -27,8 +27,7 @@ def enter_fleet(folder: Path, inventory: str, tasks: str, monkeypatch: pytest.Mo
     for name, text in (("inventories/lab.yaml", inventory), ("tasks/lab.yaml", tasks)):
         (folder / name).parent.mkdir()
         (folder / name).write_text(text)
-    give_agent(folder / "state")
-    give_key(folder / "state", load_inventory(folder / "inventories" / "lab.yaml").fleet)
+    give_agent_and_keys(folder / "state", folder / "inventories" / "lab.yaml")
     monkeypatch.chdir(folder)
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(folder / "state"))
     monkeypatch.setattr("sys.stdin", open(os.devnull))  # noqa: SIM115, PTH123 - closed below
