@@ -89,6 +89,8 @@ LONGEST = (
     "docs/test_pages.py",
     "agent/test_crashloop.py",
     "docs/test_demo.py",
+    "test_suite.py",
+    "docs/test_contributing.py",
     "experiments/lab/test_short.py",
     "faults/test_quick.py",
     "usecases/test_recovery.py",
