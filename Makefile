@@ -1,5 +1,5 @@
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: ros throughput quality demo experiment test test-fast check setup audit bench faults fuzz soak clean
+.PHONY: ros throughput quality demo experiment test test-fast check style setup audit bench faults fuzz soak clean
 PY := .venv/bin/python
 export PYTHON
 
@@ -14,19 +14,21 @@ setup:
 audit: setup
 	@.ci/audit
 
-check: setup
+check: style
+	@.venv/bin/mypy
+
+style: setup
 	@.venv/bin/ruff format --check .
 	@.venv/bin/ruff check .
-	@.venv/bin/mypy
 
 # More workers than cores: most tests wait for real hosts, and each makes hosts of its own. A failed test is run
 # once more, alone, and named (docs/adr/0030-rerun-failed-tests-once.md).
 WORKERS ?= 6
-test: check
+test: style
 	@.ci/need-faults
 	@.ci/need-promtool
 	@.ci/need-etcd
-	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite tests --ignore=tests/benchmarks --ignore=tests/ros -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+	@PATH="$$PATH:/usr/sbin:/sbin" .ci/with-types $(PY) -m tests.suite tests --ignore=tests/benchmarks --ignore=tests/ros -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 # Tests without real hosts: rules, files, documents, views, and simulated fleets.
 PURE := config doctor experiments executor export formats fuzz gateway importers model rules scheduler simulation state tui usecases views test_rooms.py
@@ -60,8 +62,7 @@ faults: setup
 	@.ci/need-faults
 	@.ci/need-etcd
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.faults --seed $(or $(SEED),1)
-	@$(PY) -m tests.simulation.two_managers --seed $(or $(SEED),1)
-	@$(PY) -m tests.simulation.split_managers --seed $(or $(SEED),1)
+	@$(PY) -m tests.simulation --seed $(or $(SEED),1)
 	@$(PY) -m tests.suite --whole tests/usecases/test_recovery.py tests/usecases/test_interrupted_commands.py tests/usecases/test_random_events.py -n 2 --dist load
 
 # At least 100,000 damaged inputs to every decoder together; make fuzz SEED=7 damages them otherwise.

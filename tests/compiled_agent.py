@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from edgectl.config.load import load_inventory
 from edgectl.transport.agent_client import _PROCESS_KEY, build_agent_zipapp, compute_agent_hash
 
 
@@ -37,10 +38,23 @@ def give_agent(state: Path) -> None:
     (agents / compute_agent_hash()).symlink_to(shared / "code")
 
 
+def give_agent_and_keys(state: Path, *inventories: Path) -> None:
+    """Put the agent into ``state``, that of a manager and of its local hosts, with the keys of these fleets."""
+    give_agent(state)
+    for inventory in inventories:
+        give_key(state, load_inventory(inventory).fleet)
+
+
+def give_scaffold_keys(state: Path, site: Path) -> None:
+    """The same for both fleets of a scaffold in ``site``."""
+    give_agent_and_keys(state, site / "inventories" / "local.yaml", site / "tasks" / "mission" / "fleet.yaml")
+
+
 def give_key(state: Path, fleet: str) -> None:
     """Let the manager with the state directory ``state`` seal code of ``fleet`` as this process does."""
     for folder in (state, state / "fleets", state / "fleets" / fleet):
         folder.mkdir(mode=0o700, exist_ok=True)
     key = state / "fleets" / fleet / "agent-key"
-    key.touch(mode=0o600)
-    key.write_text(_PROCESS_KEY)
+    if not key.exists():
+        key.touch(mode=0o600)
+        key.write_text(_PROCESS_KEY)

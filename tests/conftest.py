@@ -8,7 +8,6 @@ import gc
 import os
 import signal
 from collections.abc import Generator, Iterator, Sequence
-from contextlib import suppress
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.etcd import EtcdCluster, running_etcd
+from tests.leftovers import end_started_in
 from tests.pace import pace
 from tests.sshd import Lab, running_lab
 from tests.workers import start_server
@@ -89,6 +89,8 @@ LONGEST = (
     "docs/test_pages.py",
     "agent/test_crashloop.py",
     "docs/test_demo.py",
+    "test_suite.py",
+    "docs/test_contributing.py",
     "experiments/lab/test_short.py",
     "faults/test_quick.py",
     "usecases/test_recovery.py",
@@ -119,7 +121,6 @@ LONGEST = (
     "soak/test_soak.py",
 )
 HERE = Path(__file__).parent
-FORKED = b"\0tests.forkserver\0"
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -179,25 +180,6 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
             ]
         )
     return report
-
-
-def end_started_in(places: list[Path]) -> list[int]:
-    """Kill every process with one of these directories in its environment or command line; return the pids.
-
-    A forked process has the environment and command line of the server; it is known by its working directory.
-    """
-    marks = [str(place).encode() for place in places]
-    ended = []
-    for process in Path("/proc").glob("[0-9]*"):
-        pid = int(process.name)
-        with suppress(OSError):
-            known = (process / "environ").read_bytes() + b"\0" + (process / "cmdline").read_bytes() + b"\0"
-            if FORKED in known:
-                known = (process / "cwd").readlink().as_posix().encode() + b"\0"
-            if pid != os.getpid() and any(mark + end in known for mark in marks for end in (b"\0", b"/")):
-                os.kill(pid, signal.SIGKILL)
-                ended.append(pid)
-    return ended
 
 
 @pytest.fixture(autouse=True)

@@ -7,7 +7,9 @@ import pytest
 
 from edgectl.cli.main import main
 from edgectl.scaffold.write import write_scaffold
+from edgectl.state.paths import get_state_root
 from tests.cli.inprocess import Said
+from tests.compiled_agent import give_scaffold_keys
 from tests.views.fixtures import SNAPSHOT
 
 Run = Callable[..., Said]
@@ -17,6 +19,7 @@ Run = Callable[..., Said]
 def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A scaffold with a snapshot, as the working directory."""
     write_scaffold(tmp_path / "site")
+    give_scaffold_keys(get_state_root(), tmp_path / "site")
     (tmp_path / "site" / "snap.json").write_bytes(SNAPSHOT.read_bytes())
     monkeypatch.chdir(tmp_path / "site")
     return tmp_path / "site"

@@ -15,6 +15,7 @@ from edgectl.model.event import Event, EventKind
 from edgectl.state.store import Store
 from tests.cli.conftest import Run
 from tests.cli.fleet_dir import open_fleet_dir
+from tests.compiled_agent import give_scaffold_keys
 from tests.forkserver import ForkedProcess
 from tests.views.fixtures import ROOT
 
@@ -23,6 +24,7 @@ from tests.views.fixtures import ROOT
 def state(site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The scaffold's state directory."""
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
+    give_scaffold_keys(tmp_path / "state", site)
     return open_fleet_dir(site / "inventories" / "local.yaml")
 
 

@@ -18,7 +18,7 @@ from edgectl.cli.app import COMMANDS, split_docstring
 from edgectl.scaffold.write import write_scaffold
 from tests.cli.conftest import Run
 from tests.cli.terminal import Terminal
-from tests.compiled_agent import give_agent, give_key
+from tests.compiled_agent import give_scaffold_keys
 from tests.docs.blocks import blocks, make_tasks_idle, stopped
 from tests.forkserver import ForkedProcess
 from tests.pace import patience
@@ -194,10 +194,9 @@ def test_every_example_of_a_running_fleet_runs(
         assert in_this_process(line, run) == 0
     (site / "docs").symlink_to(DOCS)
     make_tasks_idle(site)
-    give_agent(tmp_path / "state")
-    give_key(tmp_path / "state", "demo")
+    give_scaffold_keys(tmp_path / "state", site)
     codes = {}
-    with stopped(site, env):
+    with stopped(env, site):
         for line in examples():
             if not line.startswith((*OF_FILES, *OF_ROOT)):
                 codes[line] = (

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import Run
+from tests.compiled_agent import give_agent_and_keys
 from tests.docs.blocks import stopped
 
 INVENTORY = """version: 1
@@ -32,8 +33,11 @@ def fleets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
             (tmp_path / fleet / name).write_text(text.format(fleet=fleet))
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
     monkeypatch.setattr("sys.stdin", open(os.devnull))  # noqa: SIM115, PTH123 - closed below
+    give_agent_and_keys(
+        tmp_path / "state", *(tmp_path / fleet / "inventories" / "site.yaml" for fleet in ("lab", "hall"))
+    )
     env = dict(os.environ)
-    with sys.stdin, stopped(tmp_path / "lab", env), stopped(tmp_path / "hall", env):
+    with sys.stdin, stopped(env, tmp_path / "lab", tmp_path / "hall"):
         yield tmp_path
 
 

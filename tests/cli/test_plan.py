@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import sys
 from pathlib import Path
 
@@ -27,6 +28,7 @@ def test_the_same_files_give_the_same_bytes(run: Run, site: Path) -> None:
 
 
 def test_nothing_is_written_and_no_state_is_made(run: Run, site: Path, isolated: Path) -> None:
+    shutil.rmtree(isolated / "state")
     before = sorted(site.rglob("*"))
     run(*PLAN)
     assert sorted(site.rglob("*")) == before

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import Run
+from tests.compiled_agent import give_agent_and_keys
 
 QUIET = ("apply", "--yes", "--quiet")
 INVENTORY = """version: 1
@@ -43,6 +44,7 @@ def fleet(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> Iterator
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
     monkeypatch.setattr("sys.stdin", open(os.devnull))  # noqa: SIM115, PTH123 - closed below
     made = QuietFleet(tmp_path, run)
+    give_agent_and_keys(tmp_path / "state", tmp_path / "inventories" / "lab.yaml")
     with sys.stdin:
         yield made
         made.write(INVENTORY, IDLE)

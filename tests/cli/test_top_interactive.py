@@ -11,6 +11,7 @@ import pytest
 from edgectl.cli.main import expand_shorthand
 from tests.cli.conftest import Run
 from tests.cli.terminal import Terminal
+from tests.compiled_agent import give_scaffold_keys
 
 # The alternate screen of the terminal, used by the view, is left at the end.
 ENTERED, LEFT = "\x1b[?1049h", "\x1b[?1049l"
@@ -18,7 +19,8 @@ TOP = ["top", "-i"]
 
 
 @pytest.fixture
-def env(tmp_path: Path) -> dict[str, str]:
+def env(tmp_path: Path, site: Path) -> dict[str, str]:
+    give_scaffold_keys(tmp_path / "state", site)
     # Names of hosts are contiguous if no colour changes within them.
     return {
         **os.environ,

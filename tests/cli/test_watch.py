@@ -14,6 +14,7 @@ import pytest
 from edgectl.cli.main import main
 from tests.cli.conftest import Run
 from tests.cli.terminal import Terminal
+from tests.compiled_agent import give_agent_and_keys
 from tests.forkserver import ForkedProcess
 from tests.pace import patience
 
@@ -52,6 +53,7 @@ def one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
+    give_agent_and_keys(tmp_path / "state", tmp_path / "inventories" / "one.yaml")
     yield tmp_path
     if read_entries(tmp_path / "state"):
         assert main(["stop", "--all", "--yes", "-o", "name"]) == 0

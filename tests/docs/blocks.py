@@ -9,11 +9,14 @@ import os
 import re
 import shlex
 import sys
+import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from tests.cli.inprocess import edgectl
+from tests.leftovers import list_started_in
+from tests.pace import patience
 
 # Characters with a meaning to the shell.
 _SHELL = re.compile(r"[|&;<>$`\\*?{}~]")
@@ -86,16 +89,20 @@ def make_tasks_idle(site: Path) -> None:
 
 
 @contextlib.contextmanager
-def stopped(site: Path, env: Mapping[str, str]) -> Iterator[None]:
-    """Finally stop everything that was started in ``site``, and check that it is gone.
+def stopped(env: Mapping[str, str], *sites: Path) -> Iterator[None]:
+    """Finally stop everything that was started in ``sites``, and check that no process of it is left.
 
     Local hosts keep what they started in the state directory of the manager.
     """
+    state = [Path(env["EDGECTL_STATE_DIR"])]
     try:
         yield
     finally:
-        if (Path(env["EDGECTL_STATE_DIR"]) / "agent-state").exists():
-            for words in (["stop", "--all", "--yes"], ["profilers", "stop"]):
-                edgectl(words, site, env)
-            left = edgectl(["status", "-o", "name"], site, env)
-            assert left.out == "", f"still running: {left.out}"
+        for words in (["stop", "--all", "--yes"], ["profilers", "stop"]):
+            for site in sites:
+                if list_started_in(state):
+                    edgectl(words, site, env)
+        deadline = time.monotonic() + patience(10)
+        while left := list_started_in(state):
+            assert time.monotonic() < deadline, f"still running: {left}"
+            time.sleep(0.05)

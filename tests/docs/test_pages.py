@@ -16,7 +16,7 @@ import yaml
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.scaffold.write import write_scaffold
 from tests.cli.inprocess import edgectl
-from tests.compiled_agent import give_agent, give_key
+from tests.compiled_agent import give_scaffold_keys
 from tests.docs.blocks import Block, blocks, environment, make_tasks_idle, stopped
 from tests.pace import patience
 from tests.views.fixtures import ROOT, SNAPSHOT
@@ -26,6 +26,8 @@ PAGES = [
     *sorted(path for path in (ROOT / "docs").rglob("*.md") if "adr" not in path.parts),
 ]
 AS_WRITTEN = ("README.md", "ci.md")
+# As make_tasks_idle does, for a fleet that a page makes.
+IDLE = "sed -i 's/--cpu [0-9.]*/--cpu 0/' tasks/demo.yaml"
 # The commands of these pages need the page's patch; test_contributing.py runs them in a patched copy.
 PATCHED = ROOT / "docs" / "contributing"
 WITH_COMMANDS = [
@@ -48,11 +50,10 @@ def test_every_block_runs(page: Path, tmp_path: Path) -> None:
     site, env = tmp_path / "site", environment(tmp_path / "state")
     write_scaffold(site)
     make_tasks_idle(site)
-    give_agent(tmp_path / "state")
-    give_key(tmp_path / "state", "demo")
+    give_scaffold_keys(tmp_path / "state", site)
     (site / "docs").symlink_to(ROOT / "docs")
     here = site
-    with stopped(site, env):
+    with stopped(env, site):
         for block in blocks(page):
             if not block.skipped:
                 here = run(block, here, tmp_path / "cwd", env, page)
@@ -71,7 +72,8 @@ def run(block: Block, here: Path, note: Path, env: dict[str, str], page: Path) -
 
 
 def in_a_shell(block: Block, here: Path, note: Path, env: dict[str, str], where: str) -> Path:
-    script = "set -e\n" + "\n".join(command for command, _ in block.commands) + f"\npwd > '{note}'\n"
+    lines = [f"{command}\n{IDLE}" if "edgectl init" in command else command for command, _ in block.commands]
+    script = "set -e\n" + "\n".join(lines) + f"\npwd > '{note}'\n"
     done = subprocess.run(
         ["bash", "-c", script],
         cwd=here,

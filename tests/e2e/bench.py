@@ -4,7 +4,7 @@ import itertools
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -24,7 +24,9 @@ from edgectl.usecases.probe import probe_fleet
 from edgectl.usecases.stop import stop_tasks
 from tests.builders import a_task, some_tasks
 from tests.compiled_agent import give_agent
+from tests.leftovers import end_started_in
 from tests.pace import patience
+from tests.sshd import Lab
 
 QUICK = ProbeOptions(window=0.2, timeout=patience(10.0))
 EAGER = Policy(min_dwell=0.0)
@@ -123,10 +125,10 @@ class Bench:
 
 
 @contextmanager
-def open_bench(
-    inventory: Inventory, state: Path, clean: Callable[[], None] = lambda: None
-) -> Iterator[Bench]:
-    """Open a manager of ``inventory``; stop everything that it started at the end."""
+def open_bench(inventory: Inventory, state: Path, hosts: Path | Lab) -> Iterator[Bench]:
+    """Open a manager of ``inventory``. In the end what runs on ``hosts``, servers or the HOME of local hosts, is ended
+    by signals: to have edgectl stop it takes 30 times the CPU.
+    """
     state.mkdir(mode=0o700)
     give_agent(get_state_root())
     said: list[str] = []
@@ -143,5 +145,7 @@ def open_bench(
     try:
         yield bench
     finally:
-        clean()
-        bench.stop()
+        if isinstance(hosts, Lab):
+            hosts.end_tasks()
+        else:
+            end_started_in([hosts])

@@ -42,7 +42,7 @@ def test_a_mapper_says_how_it_does_and_its_map_is_fetched(
         a_slice(lab.host("edge1", connection=connection)), a_slice(lab.host("robot1", role=Role.ROBOT))
     )
     task = a_task(name, command=command, workdir=str(work), kind=TaskKind.JOB, stop=GENTLE)
-    with open_bench(inventory, tmp_path / "manager") as made:
+    with open_bench(inventory, tmp_path / "manager", lab) as made:
         bench = made.using(task)
         bench.apply()
         wait_for_metrics(bench, name, {"map/fps": 29.97}, TaskState.RUNNING)

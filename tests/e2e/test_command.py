@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from edgectl.state.paths import get_state_root
+from tests.compiled_agent import give_agent_and_keys
 from tests.e2e.bench import a_mark, list_sleepers, wait_for_sleepers
 from tests.forkserver import ForkedProcess, run_edgectl
 from tests.pace import patience
@@ -70,6 +72,7 @@ class Shell:
 @pytest.fixture
 def shell(tmp_path: Path) -> Iterator[Shell]:
     made = Shell(tmp_path)
+    give_agent_and_keys(get_state_root(), tmp_path / "inventory.yaml")
     yield made
     made.run("stop", "--all", "--yes")
     assert list_sleepers(made.mark) == []

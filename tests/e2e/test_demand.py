@@ -30,8 +30,10 @@ SLAM = a_task(
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
-    with open_bench(an_inventory(a_local(an_edge("edge1"), "127.0.0.33")), tmp_path / "manager") as running:
+def bench(tmp_path: Path, isolated: Path) -> Iterator[Bench]:
+    with open_bench(
+        an_inventory(a_local(an_edge("edge1"), "127.0.0.33")), tmp_path / "manager", isolated
+    ) as running:
         yield running.using(SLAM)
 
 

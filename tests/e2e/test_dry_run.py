@@ -67,8 +67,8 @@ class RecordingSession:
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
-    with open_bench(an_inventory(*EDGES, ROBOT, links=LINKS), tmp_path / "manager") as running:
+def bench(tmp_path: Path, isolated: Path) -> Iterator[Bench]:
+    with open_bench(an_inventory(*EDGES, ROBOT, links=LINKS), tmp_path / "manager", isolated) as running:
         yield running
 
 

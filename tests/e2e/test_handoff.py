@@ -100,7 +100,7 @@ HOOKS = {
 
 
 @pytest.fixture
-def scene(tmp_path: Path) -> Iterator[Scene]:
+def scene(tmp_path: Path, isolated: Path) -> Iterator[Scene]:
     ready = tmp_path / "ready"
     ready.mkdir()
     with tempfile.TemporaryDirectory(
@@ -109,7 +109,9 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
         socket, record = Path(short) / "s", tmp_path / "record"
         process = subprocess.Popen([sys.executable, robot.__file__, "serve", str(socket), str(record)])
         try:
-            with open_bench(an_inventory(*EDGES, ROBOT, links=LINKS), tmp_path / "manager") as bench:
+            with open_bench(
+                an_inventory(*EDGES, ROBOT, links=LINKS), tmp_path / "manager", isolated
+            ) as bench:
                 made = Scene(bench, socket, record, ready, process)
                 made.broken()
                 while not record.exists() or not record.stat().st_size:

@@ -37,7 +37,7 @@ def list_edges(lab: Lab) -> list[Host]:
 
 @pytest.fixture
 def bench(lab: Lab, tmp_path: Path) -> Iterator[Bench]:
-    with open_bench(an_inventory(*list_edges(lab)), tmp_path / "manager") as made:
+    with open_bench(an_inventory(*list_edges(lab)), tmp_path / "manager", lab) as made:
         yield made
 
 

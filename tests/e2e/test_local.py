@@ -44,15 +44,15 @@ LINKS = {("edge1", "robot1"): 10e6, ("edge2", "robot1"): 10e6}
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
-    with open_bench(an_inventory(*EDGES, ROBOT, links=LINKS), tmp_path / "manager") as running:
+def bench(tmp_path: Path, isolated: Path) -> Iterator[Bench]:
+    with open_bench(an_inventory(*EDGES, ROBOT, links=LINKS), tmp_path / "manager", isolated) as running:
         yield running
 
 
 @pytest.fixture
-def pair(tmp_path: Path) -> Iterator[Bench]:
+def pair(tmp_path: Path, isolated: Path) -> Iterator[Bench]:
     """The edges alone: what needs no robot asks two hosts instead of three."""
-    with open_bench(an_inventory(*EDGES), tmp_path / "manager") as running:
+    with open_bench(an_inventory(*EDGES), tmp_path / "manager", isolated) as running:
         yield running
 
 

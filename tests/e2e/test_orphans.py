@@ -32,7 +32,7 @@ from tests.sshd import Lab
 @pytest.fixture
 def bench(lab: Lab, tmp_path: Path) -> Iterator[Bench]:
     inventory = an_inventory(*list_edges(lab))
-    with open_bench(inventory, tmp_path / "manager", lab.restart_stopped_servers) as made:
+    with open_bench(inventory, tmp_path / "manager", lab) as made:
         yield made
 
 

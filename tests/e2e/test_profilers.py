@@ -40,11 +40,7 @@ def build_inventory(lab: Lab) -> Inventory:
 
 @pytest.fixture
 def bench(lab: Lab, tmp_path: Path) -> Iterator[Bench]:
-    def mended() -> None:
-        lab.restart_stopped_servers()
-        profilers.stop_profilers(made.fleet)
-
-    with open_bench(build_inventory(lab), tmp_path / "manager", mended) as made:
+    with open_bench(build_inventory(lab), tmp_path / "manager", lab) as made:
         yield made
 
 

@@ -34,11 +34,11 @@ def port() -> int:
 
 
 @pytest.fixture
-def bench(port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+def bench(port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, isolated: Path) -> Iterator[Bench]:
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "hosts"))
     ros = RosSettings(version=1, master=f"http://127.0.0.1:{port}")
     hosts = [replace(a_local(an_edge(f"edge{n}"), "127.0.0.1"), ros=ros) for n in (1, 2)]
-    with open_bench(an_inventory(*hosts), tmp_path / "manager") as made:
+    with open_bench(an_inventory(*hosts), tmp_path / "manager", isolated) as made:
         yield made
 
 

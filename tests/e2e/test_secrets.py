@@ -18,6 +18,8 @@ from tempfile import TemporaryFile
 
 import pytest
 
+from edgectl.state.paths import get_state_root
+from tests.compiled_agent import give_agent_and_keys
 from tests.e2e.bench import a_mark, list_sleepers, wait_for_sleepers
 from tests.forkserver import EDGECTL, ForkedProcess
 from tests.pace import patience
@@ -236,6 +238,7 @@ def stage(tmp_path: Path, lab: Lab, monkeypatch: pytest.MonkeyPatch) -> Iterator
     with run_password_server(lab) as (port, tried):
         lab.known_hosts.write_text(lab.known_hosts.read_text() + lab["edge1"].known_hosts_line)
         made = SecretStage(tmp_path, lab, port)
+        give_agent_and_keys(get_state_root(), made.directory / "inventory.yaml")
         yield made
         made.write_tasks()
         assert made.run("stop", "--all", "--yes") in (0, 4)

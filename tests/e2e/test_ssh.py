@@ -47,16 +47,13 @@ def manager(lab: Lab, tmp_path: Path) -> Iterator[Callable[[Inventory], Bench]]:
     """Return a factory of managers; afterwards servers and files are as before and all tasks are stopped."""
     made: list[AbstractContextManager[Bench]] = []
 
-    def mended() -> None:
-        lab.write_files()
-        lab.restart_stopped_servers()
-
     def manage(inventory: Inventory) -> Bench:
-        context = open_bench(inventory, tmp_path / f"manager{len(made)}", mended)
+        context = open_bench(inventory, tmp_path / f"manager{len(made)}", lab)
         made.append(context)
         return context.__enter__()
 
     yield manage
+    lab.write_files()
     for context in made:
         context.__exit__(None, None, None)
 

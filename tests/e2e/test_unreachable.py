@@ -29,7 +29,7 @@ def build_inventory(lab: Lab) -> Inventory:
 
 @pytest.fixture
 def bench(lab: Lab, tmp_path: Path) -> Iterator[Bench]:
-    with open_bench(build_inventory(lab), tmp_path / "manager", lab.restart_stopped_servers) as made:
+    with open_bench(build_inventory(lab), tmp_path / "manager", lab) as made:
         yield made
 
 

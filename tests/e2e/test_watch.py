@@ -33,14 +33,14 @@ from tests.sshd import Lab, Server, _list_descendants
 from tests.usecases.watch_site import EVERY, JumpingWait, SteppedClock
 
 # Small slices: even on a busy machine a busy loop takes a large share of one.
-SLICE = Capacity(cpu=0.3, memory=1e9)
-# Uses half a core once its host allows it.
+SLICE = Capacity(cpu=0.15, memory=1e9)
+# Uses a quarter of a core once its host allows it.
 BURNER = """while [ ! -e "$HOME/burn" ]; do sleep 0.1; done
 exec python3 -c 'import time
 while True:
     end = time.process_time() + 0.05
     while time.process_time() < end: pass
-    time.sleep(0.05)'"""
+    time.sleep(0.15)'"""
 
 
 def build_inventory(lab: Lab) -> Inventory:
@@ -50,7 +50,7 @@ def build_inventory(lab: Lab) -> Inventory:
 
 @pytest.fixture
 def bench(lab: Lab, tmp_path: Path) -> Iterator[Bench]:
-    with open_bench(build_inventory(lab), tmp_path / "manager", lab.restart_stopped_servers) as made:
+    with open_bench(build_inventory(lab), tmp_path / "manager", lab) as made:
         yield made
 
 

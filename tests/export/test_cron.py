@@ -13,6 +13,7 @@ from edgectl.errors import UsageError
 from edgectl.export.cron import format_cron_command, format_cron_schedule, format_crontab, quote_for_cron
 from edgectl.export.job import ScheduledJob, format_interval
 from tests import forkserver
+from tests.compiled_agent import give_agent_and_keys
 from tests.e2e.bench import a_mark, list_sleepers, wait_for_sleepers
 from tests.pace import patience
 
@@ -108,6 +109,7 @@ def site(tmp_path: Path) -> Iterator[tuple[Path, str]]:
     here.mkdir()
     (here / "lab.yaml").write_text(INVENTORY)
     (here / "tasks.yaml").write_text(TASKS.format(mark))
+    give_agent_and_keys(here / "state", here / "lab.yaml")
     yield here, mark
     run_edgectl(here, "stop", "--all", "--yes")
     assert list_sleepers(mark) == []

@@ -18,6 +18,7 @@ from edgectl.errors import UsageError
 from edgectl.export.job import ScheduledJob
 from edgectl.export.systemd import build_timer_units, build_unit_name, build_watch_unit
 from tests.agent.user_systemd import UserSystemd, can_be_real, user_systemd
+from tests.compiled_agent import give_agent_and_keys
 from tests.e2e.bench import a_mark, list_sleepers, wait_for_sleepers
 from tests.pace import patience
 from tests.sshd import Lab
@@ -246,6 +247,7 @@ def test_a_run_in_the_sandbox_reaches_its_hosts(
     (tmp_path / "lab.yaml").write_text(HOSTS)
     tasks = [f'  {name}: {{command: "exec sleep {mark}", hosts: {{only: [{host}]}}, demand: {{cpu: 0.1, memory: 1Mi}}, stop: {{grace: 2s}}}}' for name, host in (("one", "edge1"), ("two", "edge2"))]  # fmt: skip
     (tmp_path / "tasks.yaml").write_text("\n".join(["version: 1", "tasks:", *tasks, ""]))
+    give_agent_and_keys(tmp_path / "state", tmp_path / "lab.yaml")
     env = {**os.environ, **lab.environment, "EDGECTL_STATE_DIR": str(tmp_path / "state")}
     edgectl = [sys.executable, "-m", "edgectl"]
     files = ["-i", "lab.yaml", "-t", "tasks.yaml"]

@@ -8,8 +8,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.compiled_agent import give_key
 from tests.faults.command_result import CommandResult
-from tests.faults.fleet import FaultFleet, format_yaml
+from tests.faults.fleet import FLEET, FaultFleet, format_yaml
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,8 +52,10 @@ class Manager:
         if self.own_fleet or self.lacks:
             files[str(fleet.directory / "inventory.yaml")] = str(self._write_inventory())
         command = [files.get(word, word) for word in fleet.build_command(*words)]
+        state = fleet.directory / f"state-{self.name}"
+        give_key(state, self.name if self.own_fleet else FLEET)
         env = fleet.build_env(
-            EDGECTL_STATE_DIR=str(fleet.directory / f"state-{self.name}"),
+            EDGECTL_STATE_DIR=str(state),
             LOGNAME=self.name,
             USER=self.name,
             **({"EDGECTL_SSH_CONFIG": str(own)} if own.exists() else {}),

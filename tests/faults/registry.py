@@ -15,9 +15,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tests.compiled_agent import give_key
 from tests.faults.command_result import ExpectationError
 from tests.faults.failpoint_runner import read_failpoints
-from tests.faults.fleet import EdgectlVariant, FaultFleet, OracleError, open_fleet, repair_fleet
+from tests.faults.fleet import FLEET, EdgectlVariant, FaultFleet, OracleError, open_fleet, repair_fleet
 from tests.faults.namespace_host import find_missing_for_namespaces, find_missing_for_systemd
 from tests.faults.oracle import OracleVerdict
 
@@ -92,6 +93,7 @@ def repair_and_judge(fleet: FaultFleet) -> None:
     repair_fleet(fleet)
     fleet.apply().expect_exit(0)
     fleet.check_verdict()
+    give_key(fleet.directory / "state-newcomer", FLEET)
     newcomer = {"EDGECTL_STATE_DIR": str(fleet.directory / "state-newcomer"), "LOGNAME": "newcomer"}
     fleet.run_edgectl("stop", "--all", "--yes", **fleet.random.choice([newcomer, {}])).expect_exit(0)
     if not (left := fleet.find_leftovers()).clean:

@@ -44,12 +44,12 @@ def master() -> str:
 
 
 @pytest.fixture
-def bench(master: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+def bench(master: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, isolated: Path) -> Iterator[Bench]:
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "hosts"))
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
     ros = RosSettings(version=1, master=master)
     hosts = [replace(a_local(an_edge(f"edge{n}"), "127.0.0.1"), ros=ros) for n in (1, 2)]
-    with open_bench(an_inventory(*hosts), tmp_path / "manager") as made:
+    with open_bench(an_inventory(*hosts), tmp_path / "manager", isolated) as made:
         yield made
 
 

@@ -1,4 +1,4 @@
-"""Interleavings of two managers that share an etcd, on a split network: ``python -m tests.simulation.split_managers``.
+"""Interleavings of two managers that share an etcd, on a split network.
 
 The hosts decide by the agent's own rules of the lease (``lease_rules``), the managers sign by their own lease
 (``FleetLease``) with a term in etcd. etcd is a model of few lines: one key with a lease, one state that only its holder
@@ -7,14 +7,12 @@ takes the key, reads the state, claims and looks at what it sees, announces its 
 where. Between any two requests the other manager may act, a host may reboot, a manager may freeze past its lease or die.
 """
 
-import argparse
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from edgectl.errors import CoordinationError, RefusedError
 from edgectl.transport.fleet_lease import FleetLease
-from tests.simulation.two_managers import HOSTS, LEASE_S, TASKS, DoubledError, Simulation
+from tests.simulation.two_managers import HOSTS, LEASE_S, TASKS, Simulation
 
 TTL_S, SHARED = 15.0, "shared"
 Places = Mapping[str, frozenset[str]]
@@ -152,32 +150,3 @@ class SplitSimulation(Simulation):
         if self.random.random() > 0.1:  # else it is killed before that
             term.save({**places, **{task: frozenset((host,)) for task, host in wanted.items()}})
             yield "saved"
-
-
-def run_simulations(first_seed: int, count: int) -> int:
-    """Run ``count`` interleavings; the number of changes on hosts.
-
-    Raises:
-        DoubledError: with its seed.
-    """
-    changes = 0
-    for seed in range(first_seed, first_seed + count):
-        try:
-            changes += SplitSimulation(seed).run()
-        except DoubledError as error:
-            raise DoubledError(f"seed {seed}: {error}") from error
-    return changes
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m tests.simulation.split_managers", description=__doc__)
-    parser.add_argument("--count", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args()
-    changes = run_simulations(options.seed * 1_000_000, options.count)
-    print(f"{options.count} interleavings on split networks, {changes} changes on hosts, nothing doubled")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

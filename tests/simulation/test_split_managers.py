@@ -2,18 +2,18 @@
 
 import pytest
 
-from tests.simulation.split_managers import SimulatedTerm, SplitSimulation, run_simulations
-from tests.simulation.two_managers import DoubledError
+from tests.simulation.split_managers import SimulatedTerm, SplitSimulation
+from tests.simulation.two_managers import DoubledError, run_simulations
 
 
 def test_nothing_is_doubled() -> None:
-    assert run_simulations(1, 200) > 400
+    assert run_simulations(SplitSimulation, 1, 200) > 400
 
 
 def test_without_announced_starts_something_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SplitSimulation, "announces", False)
     with pytest.raises(DoubledError):
-        run_simulations(1, 200)
+        run_simulations(SplitSimulation, 1, 200)
 
 
 def test_without_the_comparison_of_the_holder_something_is(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -22,4 +22,4 @@ def test_without_the_comparison_of_the_holder_something_is(monkeypatch: pytest.M
 
     monkeypatch.setattr(SimulatedTerm, "save", save)
     with pytest.raises(DoubledError):
-        run_simulations(1, 200)
+        run_simulations(SplitSimulation, 1, 200)

@@ -1,4 +1,4 @@
-"""Interleavings of two managers over simulated hosts: ``python -m tests.simulation.two_managers --count 10000``.
+"""Interleavings of two managers over simulated hosts.
 
 The hosts decide by the agent's own rules of the lease (``lease_rules``), each on its own clock; the managers sign by
 their own lease (``FleetLease``). Everything else is a model of few lines: a manager claims all hosts that it
@@ -8,9 +8,7 @@ requests the other manager may act, a host may reboot, a manager may freeze past
 the living instances of each task after every step.
 """
 
-import argparse
 import random
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import cast
@@ -179,8 +177,8 @@ class Simulation:
         yield "carried out"
 
 
-def run_simulations(first_seed: int, count: int) -> int:
-    """Run ``count`` interleavings; the number of changes on hosts.
+def run_simulations(simulation: type[Simulation], first_seed: int, count: int) -> int:
+    """Run ``count`` interleavings of one kind; the number of changes on hosts.
 
     Raises:
         DoubledError: with its seed.
@@ -188,21 +186,7 @@ def run_simulations(first_seed: int, count: int) -> int:
     changes = 0
     for seed in range(first_seed, first_seed + count):
         try:
-            changes += Simulation(seed).run()
+            changes += simulation(seed).run()
         except DoubledError as error:
             raise DoubledError(f"seed {seed}: {error}") from error
     return changes
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m tests.simulation.two_managers", description=__doc__)
-    parser.add_argument("--count", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args()
-    changes = run_simulations(options.seed * 1_000_000, options.count)
-    print(f"{options.count} interleavings of two managers, {changes} changes on hosts, nothing doubled")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

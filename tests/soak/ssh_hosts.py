@@ -81,7 +81,7 @@ def soak_ssh_hosts(
     hands, warm = SteppedClock(), None
     control = JumpingWait(hands)
     counts = {"moves": 0, "starts": 0, "failed": 0, "errors": 0}
-    with open_bench(build_inventory(lab), directory / "manager") as bench:
+    with open_bench(build_inventory(lab), directory / "manager", lab) as bench:
         power = HostPower(lab, cycles, rhythm)
         made = replace(bench.using(*tasks.tasks.values()).fleet, clock=hands.wall, uptime=hands.uptime)
         options = WatchOptions(
@@ -113,6 +113,7 @@ def soak_ssh_hosts(
                     assert sorted(alive) == sorted(marks), alive
                 power.strike(cycle.number)
         counts["losses"] = power.losses
+        bench.stop()
     deadline = time.monotonic() + patience(60)
     while count_living(lab) and time.monotonic() < deadline:
         time.sleep(0.1)

@@ -9,6 +9,7 @@ import pytest
 
 from edgectl.experiments.files.run_directory import load_run
 from edgectl.scaffold.write import write_scaffold
+from tests.compiled_agent import give_scaffold_keys
 from tests.docs.blocks import environment, stopped
 from tests.experiments.lab.spec import shortened
 from tests.pace import patience
@@ -38,6 +39,7 @@ def test_a_tiny_mission_under_two_schemes(tmp_path: Path) -> None:
     site = a_tiny_site(tmp_path)
     home = tmp_path / "home"
     home.mkdir()
+    give_scaffold_keys(tmp_path / "state", site)
     env = environment(tmp_path / "state") | {"HOME": str(home)}
     command = [
         sys.executable,
@@ -50,7 +52,7 @@ def test_a_tiny_mission_under_two_schemes(tmp_path: Path) -> None:
         "json",
     ]
     fleet = {"EDGECTL_INVENTORY": "tasks/mission/fleet.yaml", "EDGECTL_TASKS": "tasks/mission/tasks.yaml"}
-    with stopped(site, env | fleet):
+    with stopped(env | fleet, site):
         done = subprocess.run(
             command, cwd=site, env=env, capture_output=True, text=True, timeout=patience(200), check=False
         )
