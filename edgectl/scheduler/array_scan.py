@@ -4,7 +4,7 @@ Every operation is that of ``scan``, element by element and in the same order, s
 same to the last bit. Imported only where it pays and where NumPy is installed.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf
 
@@ -58,7 +58,10 @@ class ArrayShares:
         by_class = self.fleet.demands.get(task.name)
         if by_class is not None or task.name in self.fleet.floors:
             return self._weigh([self.of_host(task, name) for name in _HOST_NAMES], weights)
-        key = tuple([task.demand[name] for name in _HOST_NAMES])
+        demand = task.demand
+        stated = [demand[name] or ZERO for name in _HOST_NAMES]
+        # Numbers: the hash of a quantity costs as much as a row operation.
+        key = tuple([number for each in stated for number in (each.value, each.relative)])
         found = self.weighed.get(key)
         if found is None:
             found = self._weigh([self.of_host(task, name) for name in _HOST_NAMES], weights)
@@ -202,10 +205,14 @@ class ArrayTotals:
     def __iter__(self) -> Iterator[float]:
         return iter(self.row.tolist())
 
+    def exclude(self, places: Collection[int]) -> None:
+        """Take ``places`` out."""
+        self.row[list(places)] = EXCLUDED_TOTAL
+
     def find_top(self) -> int | None:
         """The first feasible place with the greatest total."""
         top = int(self.row.argmax())
-        return top if is_feasible_total(self[top]) else None
+        return top if is_feasible_total(self.row[top]) else None
 
     def list_at_least(self, level: float) -> list[int]:
         """The places whose total is ``level`` or more, in order."""
@@ -235,16 +242,18 @@ class ArrayScan:
 
     def compute_totals(self, free: FreeArrays, task: Task, *, offset: float) -> ArrayTotals:
         """As ``scan.compute_resource_totals``, with ``EXCLUDED_TOTAL`` for the robots after the edges."""
-        shares, weights = self.shares, self.weights
-        demanded, weighted = shares.of_hosts(task, weights)
-        terms = free.free - demanded
-        links = _find_link_terms(free, shares, task)
-        totals = offset + free.weighted - weighted + weights[NETWORK.name] * links
-        if min(terms.min(), links.min()) < -EPSILON:
-            totals[(terms < -EPSILON).any(axis=0) | (links < -EPSILON)] -= INFEASIBLE_PENALTY
+        shares, edges = self.shares, self.shares.fleet.edges
+        demanded, weighted = shares.of_hosts(task, self.weights)
+        terms: Array = np.empty((len(_HOST_NAMES) + 1, edges))
+        np.subtract(free.free, demanded, out=terms[:-1])
+        _fill_link_terms(terms[-1], free, shares, task)
         row: Array = np.empty(len(shares.fleet.places))
-        row[: shares.fleet.edges] = totals
-        row[shares.fleet.edges :] = EXCLUDED_TOTAL
+        row[edges:] = EXCLUDED_TOTAL
+        totals = np.add(free.weighted, offset, out=row[:edges])
+        totals -= weighted
+        totals += self.weights[NETWORK.name] * terms[-1]
+        if np.minimum.reduce(terms, axis=None) < -EPSILON:
+            totals[(terms < -EPSILON).any(axis=0)] -= INFEASIBLE_PENALTY
         return ArrayTotals(row)
 
 
@@ -253,15 +262,12 @@ def build_array_scan(fleet: Capacities, weights: Weights) -> ArrayScan:
     return ArrayScan(shares=build_array_shares(fleet), weights=weights)
 
 
-def _find_link_terms(mirror: FreeArrays, shares: ArrayShares, task: Task) -> Array:
+def _fill_link_terms(terms: Array, mirror: FreeArrays, shares: ArrayShares, task: Task) -> None:
     """UT_net at every edge: the worst of the task's links; 1 without a robot."""
-    edges = shares.fleet.edges
-    if not task.robots:
-        return np.ones(edges)
-    if any(robot not in mirror.free_links for robot in task.robots):
-        return np.full(edges, NO_FREE_SHARE)
-    found = [mirror.free_links[robot] - shares.of_link(task, robot) for robot in task.robots]
-    worst: Array = found[0]
-    for other in found[1:]:
-        worst = np.minimum(worst, other)
-    return worst
+    terms.fill(1.0 if not task.robots else inf)
+    for robot in task.robots:
+        row = mirror.free_links.get(robot)
+        if row is None:
+            terms.fill(NO_FREE_SHARE)
+            return
+        np.minimum(terms, row - shares.of_link(task, robot), out=terms)

@@ -4,7 +4,7 @@ Its reference is ``feasibility``; tests compare the two. A row holds one number 
 shares: UT = free share - demanded share, one row operation per resource.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from operator import lt, sub
 from typing import NamedTuple
@@ -43,6 +43,11 @@ class ListTotals(list[float]):
         if max(others) < level:
             return [first]  # the common case: three scans in C instead of one in Python
         return [place for place, total in enumerate(self) if total >= level]
+
+    def exclude(self, places: Collection[int]) -> None:
+        """Take ``places`` out."""
+        for place in places:
+            self[place] = EXCLUDED_TOTAL
 
     def copy(self) -> "ListTotals":
         """An independent row with the same totals."""

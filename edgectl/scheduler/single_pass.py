@@ -8,7 +8,9 @@ from edgectl.model.assignment import Decision, Reason, Rejection, Verdict
 from edgectl.model.task import Task
 from edgectl.scheduler.candidates import (
     AssignmentContext,
+    CandidateSet,
     gather_candidates,
+    usage_at,
     weigh_candidates,
 )
 from edgectl.scheduler.choice import Choice, MoveConstraints
@@ -21,7 +23,7 @@ from edgectl.scheduler.decisions import (
 )
 from edgectl.scheduler.initial_state import InitialState, RunningTask
 from edgectl.scheduler.lazy_ranking import LoadChange, LoadHistory, RankingRequest
-from edgectl.scheduler.ledger import Ledger, compute_demand_usage
+from edgectl.scheduler.ledger import Ledger
 from edgectl.scheduler.peaks import LoadPeaks, stays_in_place
 from edgectl.scheduler.placement_rules import NO_RULES
 from edgectl.scheduler.policies import SchedulingPolicy
@@ -185,6 +187,7 @@ def _decide_task(
         if progress.history is not None:
             progress.history.changes.append(LoadChange(running.place, running.use, is_charge=False))
     missing = _find_missing_predecessor(task, progress.located, state.completed) if running is None else None
+    candidates = None
     if missing is not None:
         reason = Reason.PREDECESSOR_INCOMPLETE if missing in progress.located else Reason.PREDECESSOR_MISSING
         choice = Choice(verdict=Verdict.UNPLACED, reason=reason, subject=missing)
@@ -193,10 +196,10 @@ def _decide_task(
             explain_replacement(unplaced_decision(task, told), how.initial.replaced.get(task.name))
         )
     else:
-        choice = _choose_place(how, state, prior_moves, progress, task)
+        choice, candidates = _choose_place(how, state, prior_moves, progress, task)
     progress.choices[task.name] = choice
-    if choice.place is not None:
-        _charge_demand(progress, task, choice.place)
+    if candidates is not None and choice.place is not None:
+        _charge_demand(progress, task.name, choice.place, usage_at(candidates, choice.place))
         _reserve_for_unit(how, state, progress, task, choice.place)
     else:
         progress.located.pop(task.name, None)  # it ran on a host that counts as gone
@@ -229,7 +232,7 @@ def _choose_place(
     prior_moves: Mapping[str, Choice],
     progress: _PassState,
     task: Task,
-) -> Choice:
+) -> tuple[Choice, CandidateSet]:
     running = state.running.get(task.name)
     incumbent = running.place if running is not None else None
     predecessors = _find_predecessors(how, state, progress, task)
@@ -274,7 +277,7 @@ def _choose_place(
         )
         decision = build_decision(candidates, told, initial_place, ranking)
         progress.decisions.append(explain_replacement(decision, how.initial.replaced.get(task.name)))
-    return choice
+    return choice, candidates
 
 
 def _find_predecessors(
@@ -344,13 +347,12 @@ def _change_reservation(progress: _PassState, place: int, use: TaskUsage, *, is_
         progress.history.changes.append(LoadChange(place, use, is_charge=is_charge, counts=False))
 
 
-def _charge_demand(progress: _PassState, task: Task, place: int) -> None:
-    use = compute_demand_usage(progress.ledger.fleet, task, place)
+def _charge_demand(progress: _PassState, name: str, place: int, use: TaskUsage) -> None:
     progress.ledger.charge(place, use)
     if progress.history is not None:
         progress.history.changes.append(LoadChange(place, use, is_charge=True))
-    progress.uses[task.name] = (place, use)
-    progress.located[task.name] = place
+    progress.uses[name] = (place, use)
+    progress.located[name] = place
     progress.placed[place] = progress.placed.get(place, 0) + 1
 
 
