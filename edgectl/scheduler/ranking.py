@@ -8,7 +8,7 @@ from typing import NamedTuple
 from edgectl.model.assignment import RankedHost, Rejection, RejectionRule, UtilityTerms
 from edgectl.scheduler.candidates import CandidateSet, Totals, terms_at
 from edgectl.scheduler.demand import list_resource_demands
-from edgectl.scheduler.scan import INFEASIBLE_PENALTY, is_feasible_total
+from edgectl.scheduler.scan import EXCLUDED_TOTAL, INFEASIBLE_PENALTY, is_feasible_total
 from edgectl.scheduler.ties import order_tied_places
 from edgectl.scheduler.utility import EPSILON, compute_affinity
 
@@ -91,8 +91,8 @@ def _find_first_tied(
 def exclude_places(candidates: CandidateSet, places: Sequence[int]) -> Totals:
     """The totals without those of ``places``."""
     totals = candidates.totals.copy()
-    if places:
-        totals.exclude(places)
+    for place in places:
+        totals[place] = EXCLUDED_TOTAL
     return totals
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from types import MappingProxyType
 
 from edgectl.model.assignment import Decision, Reason, Rejection, Verdict
 from edgectl.model.task import Task
@@ -29,6 +30,9 @@ from edgectl.scheduler.placement_rules import NO_RULES
 from edgectl.scheduler.policies import SchedulingPolicy
 from edgectl.scheduler.sequence import is_need_met
 from edgectl.scheduler.task_usage import TaskUsage
+
+# Of a task that starts, and that no rule joins with others.
+_NO_CONSTRAINTS, _NONE_BARRED = MoveConstraints(), MappingProxyType[int, Rejection]({})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -246,7 +250,7 @@ def _choose_place(
         placed=progress.placed,
     )
     company = _build_company(how, state, progress, task)
-    barred: Mapping[int, Rejection] = {}
+    barred: Mapping[int, Rejection] = _NONE_BARRED
     if company is not None:
         candidates, barred = weigh_in_company(
             company, task, incumbent, lambda barred=None: weigh_candidates(gather(barred=barred))
@@ -299,6 +303,8 @@ def _build_move_constraints(
 
     Tasks that share a host have been there as long as the last of them.
     """
+    if running is None and company is None:
+        return _NO_CONSTRAINTS
     since = running.since if running is not None else None
     if company is not None:
         runs = [company.running[mate] for mate in company.list_mates(task.name) if mate in company.running]
