@@ -270,7 +270,7 @@ class Decision:
     overcommitted: bool = False
     ranking: Sequence[RankedHost] = field(default=(), metadata=in_document(required=True))
     rejection_counts: Mapping[str, int] = field(default_factory=dict)
-    demand: tuple[ResourceDemand, ...] = field(default=(), metadata=in_document(keyed_by="resource"))
+    demand: Sequence[ResourceDemand] = field(default=(), metadata=in_document(keyed_by="resource"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

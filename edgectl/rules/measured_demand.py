@@ -57,7 +57,7 @@ def resolve_demand(demand: Demand, found: MeasuredDemand) -> Demand:
     """``demand`` on hosts of a class with enough history: every resource that follows history is as measured
     there.
     """
-    return Demand(
+    return Demand.from_complete(
         {name: _prefer_measured(quantity, found.used.get(name)) for name, quantity in demand.items()}
     )
 
@@ -75,9 +75,13 @@ def estimate_demand(demand: Demand, found: Iterable[MeasuredDemand]) -> Demand:
     for each in found:
         for name, value in each.used.items():
             most[name] = max(value, most.get(name, value))
-    measured = resolve_demand(demand, MeasuredDemand(samples=0, span_s=0.0, used=most))
-    return Demand({name: _prefer_stated(demand[name], measured[name]) for name in demand})
+    return Demand.from_complete(
+        {
+            name: stated if _is_declared(stated) else _prefer_measured(stated, most.get(name))
+            for name, stated in demand.items()
+        }
+    )
 
 
-def _prefer_stated(stated: Quantity | None, otherwise: Quantity | None) -> Quantity | None:
-    return stated if stated is not None and (stated.value > 0 or not stated.measured) else otherwise
+def _is_declared(stated: Quantity | None) -> bool:
+    return stated is not None and (stated.value > 0 or not stated.measured)

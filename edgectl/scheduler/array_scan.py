@@ -4,7 +4,7 @@ Every operation is that of ``scan``, element by element and in the same order, s
 same to the last bit. Imported only where it pays and where NumPy is installed.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import field
 from math import inf
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from edgectl.dataclass import dataclass
 from edgectl.model.policy import Weights
 from edgectl.model.resource import HOST_RESOURCES, NETWORK
-from edgectl.model.task import ZERO, Task
+from edgectl.model.task import ZERO, Demand, Quantity, Task
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.demand import OTHER_CLASS
 from edgectl.scheduler.ledger import NO_FREE_SHARE, Ledger
@@ -29,110 +29,113 @@ _HOST_NAMES = tuple(resource.name for resource in HOST_RESOURCES)
 class ArrayShares:
     """Demands as shares of capacity at every edge, as ``scan.DemandShares`` has them.
 
-    ``kinds`` are the classes of hosts, ``kind_of`` the index of each edge's class.
+    ``raw`` and ``usable``: one row per resource of hosts. ``kinds`` are the classes of hosts, ``kind_of`` the
+    index of each edge's class. ``stated`` is what is kept of tasks without a history of their own: rows and
+    weighted sum by quantities; ``units``: of the links to one robot, what one byte/s is a share of, and what
+    the nominal capacity is.
     """
 
     fleet: Capacities
-    raw: dict[str, Array]
-    usable: dict[str, Array]
+    raw: Array
+    usable: Array
     links: dict[str, Array]
     nominal_links: dict[str, Array]
     kinds: tuple[str, ...]
     kind_of: NDArray[np.intp]
-    rows: dict[object, Array] = field(default_factory=dict)
-    weighed: dict[object, tuple[Array, Array]] = field(default_factory=dict)
-
-    def of_host(self, task: Task, resource: str) -> Array:
-        """D / Delta of a resource of hosts at every edge."""
-        usable = self.usable[resource]
-        key, quantities = self._find_quantities(task, resource)
-        row = self.rows.get(key)
-        if row is None:
-            row = self._keep(key, _divide(self._list_amounts(quantities, self.raw[resource]), usable))
-        floor = self.fleet.floors.get(task.name)
-        if floor is None or resource not in floor.used:
-            return row
-        return _raise(row, floor.used[resource], usable)
+    stated: dict[object, tuple[Array, Array]] = field(default_factory=dict)
+    units: dict[tuple[str, bool], Array] = field(default_factory=dict)
 
     def of_hosts(self, task: Task, weights: Weights) -> tuple[Array, Array]:
         """D / Delta of the resources of hosts, one row each, and the sum of weight x (d / Delta)."""
-        by_class = self.fleet.demands.get(task.name)
-        if by_class is not None or task.name in self.fleet.floors:
-            return self._weigh([self.of_host(task, name) for name in _HOST_NAMES], weights)
-        key = tuple([task.demand[name] for name in _HOST_NAMES])
-        found = self.weighed.get(key)
+        by_class, floor = self.fleet.demands.get(task.name), self.fleet.floors.get(task.name)
+        if by_class is None:
+            found = self._get_stated_rows(task.demand, weights)
+            if floor is None:
+                return found
+            rows = found[0]
+        else:
+            rows = self._build_rows([self._list_by_kind(by_class, name) for name in _HOST_NAMES])
+        if floor is not None:
+            rows = rows.copy()
+            for index, name in enumerate(_HOST_NAMES):
+                if name in floor.used:
+                    rows[index] = _raise(rows[index], floor.used[name], self.usable[index])
+        return rows, _add_weighted(rows, weights)
+
+    def _get_stated_rows(self, demand: Demand, weights: Weights) -> tuple[Array, Array]:
+        quantities = [demand[name] or ZERO for name in _HOST_NAMES]
+        # Numbers: the hash of a quantity costs as much as a row operation.
+        key = tuple([number for each in quantities for number in (each.value, each.relative)])
+        found = self.stated.get(key)
         if found is None:
-            found = self._weigh([self.of_host(task, name) for name in _HOST_NAMES], weights)
-            if len(self.weighed) * self.fleet.edges > MAX_CACHED_SHARES / len(_HOST_NAMES):
-                self.weighed.clear()
-            self.weighed[key] = found
+            rows = self._build_rows([[quantity] for quantity in quantities])
+            if len(self.stated) * self.fleet.edges > MAX_CACHED_SHARES / len(_HOST_NAMES):
+                self.stated.clear()
+            found = self.stated[key] = rows, _add_weighted(rows, weights)
         return found
 
-    def _weigh(self, rows: Sequence[Array], weights: Weights) -> tuple[Array, Array]:
-        total: Array = np.zeros(self.fleet.edges)
-        for name, row in zip(_HOST_NAMES, rows, strict=True):
-            total = total + weights[name] * row
-        return np.array(rows), total
+    def _list_by_kind(self, by_class: Mapping[str, Demand], name: str) -> list[Quantity]:
+        other = by_class[OTHER_CLASS]
+        return [by_class.get(kind, other)[name] or ZERO for kind in self.kinds]
+
+    def _build_rows(self, quantities: Sequence[Sequence[Quantity]]) -> Array:
+        """Rho / Delta by resource of hosts and edge; ``quantities`` by resource, and by class or of all."""
+        return _divide(self._list_amounts(quantities, self.raw), self.usable)
+
+    def _list_amounts(self, quantities: Sequence[Sequence[Quantity]], whole: Array) -> Array:
+        """The amounts by row and edge, in the unit of ``whole``, the capacities that a share is of."""
+        amounts: Array = np.array([[each.value for each in row] for row in quantities])
+        relative = np.array([[each.relative for each in row] for row in quantities])
+        if amounts.shape[1] > 1:
+            amounts = amounts.take(self.kind_of, axis=1)
+            relative = relative.take(self.kind_of, axis=1) if relative.any() else relative
+        if not relative.any():
+            return np.broadcast_to(amounts, whole.shape)
+        with np.errstate(invalid="ignore"):
+            shared: Array = np.where(whole != inf, amounts * whole, 0.0)
+        return np.where(relative, shared, amounts)
 
     def of_link(self, task: Task, robot: str) -> Array:
         """D / Delta of every edge's link to ``robot``."""
-        capacity = self.links[robot]
-        key, quantities = self._find_quantities(task, NETWORK.name)
-        key = (robot, key)
-        row = self.rows.get(key)
-        if row is None:
-            row = self._keep(key, self._build_link_row(task, robot, quantities, capacity))
-        floor = self.fleet.floors.get(task.name)
+        by_class, floor = self.fleet.demands.get(task.name), self.fleet.floors.get(task.name)
+        if by_class is None:
+            stated = task.demand[NETWORK.name] or ZERO
+            row = stated.value * self._get_unit(robot, relative=stated.relative)
+        else:
+            quantities = [self._list_by_kind(by_class, NETWORK.name)]
+            amounts = self._list_amounts(quantities, self.nominal_links[robot][np.newaxis])
+            row = _divide(amounts[0], self.links[robot])
         if floor is None or robot not in floor.links:
             return row
-        return _raise(row, floor.links[robot], capacity)
+        return _raise(row, floor.links[robot], self.links[robot])
 
-    def _build_link_row(
-        self, task: Task, robot: str, quantities: Sequence[tuple[float, bool]], capacity: Array
-    ) -> Array:
-        if task.name in self.fleet.demands:
-            return _divide(self._list_amounts(quantities, self.nominal_links[robot]), capacity)
-        value, relative = quantities[0]
-        per_byte = _divide(np.ones(len(capacity)), capacity)
-        return value * (self._list_per_nominal(robot, per_byte) if relative else per_byte)
+    def _get_unit(self, robot: str, *, relative: bool) -> Array:
+        """By edge, one byte/s of the link to ``robot`` as a share of what it carries now; or its nominal
+        capacity.
+        """
+        unit = self.units.get((robot, relative))
+        if unit is None:
+            capacity = self.links[robot]
+            unit = _divide(np.ones(len(capacity)), capacity)
+            if relative and self.fleet.nominal_links[robot] == self.fleet.links[robot]:
+                unit = np.ones(len(capacity))
+            elif relative:
+                unit = self.nominal_links[robot] * unit
+            self.units[robot, relative] = unit
+        return unit
 
-    def _list_per_nominal(self, robot: str, per_byte: Array) -> Array:
-        """The nominal capacity of every edge's link to ``robot`` as a share of what it carries now."""
-        if self.fleet.nominal_links[robot] == self.fleet.links[robot]:
-            return np.ones(self.fleet.edges)
-        return self.nominal_links[robot] * per_byte
 
-    def _find_quantities(self, task: Task, resource: str) -> tuple[object, list[tuple[float, bool]]]:
-        """Value of rho, and whether it is a share, by class of hosts; the same everywhere if there is one."""
-        by_class = self.fleet.demands.get(task.name)
-        if by_class is None:
-            stated = task.demand[resource] or ZERO
-            return (resource, stated.value, stated.relative), [(stated.value, stated.relative)]
-        other = by_class[OTHER_CLASS]
-        found = [by_class.get(kind, other)[resource] or ZERO for kind in self.kinds]
-        quantities = [(quantity.value, quantity.relative) for quantity in found]
-        return (resource, tuple(quantities), True), quantities
-
-    def _list_amounts(self, quantities: Sequence[tuple[float, bool]], whole: Array) -> Array:
-        index = self.kind_of if len(quantities) > 1 else np.zeros(len(whole), dtype=np.intp)
-        values: Array = np.array([value for value, _ in quantities])[index]
-        if not any(relative for _, relative in quantities):
-            return values
-        relative = np.array([each for _, each in quantities])[index]
-        with np.errstate(invalid="ignore"):
-            shared: Array = np.where(whole != inf, values * whole, 0.0)
-        return np.where(relative, shared, values)
-
-    def _keep(self, key: object, row: Array) -> Array:
-        if len(self.rows) * self.fleet.edges > MAX_CACHED_SHARES:
-            self.rows.clear()
-        self.rows[key] = row
-        return row
+def _add_weighted(rows: Array, weights: Weights) -> Array:
+    """The sum of weight x share over the resources of hosts."""
+    total: Array = np.zeros(rows.shape[1])
+    for name, row in zip(_HOST_NAMES, rows, strict=True):
+        total += weights[name] * row
+    return total
 
 
 def _divide(amounts: Array, capacity: Array) -> Array:
     """The amounts as shares; 0 where there is no capacity."""
-    return np.divide(amounts, capacity, out=np.zeros(len(capacity)), where=capacity > 0)
+    return np.divide(amounts, capacity, out=np.zeros(capacity.shape), where=capacity > 0)
 
 
 def _raise(row: Array, amount: float, capacity: Array) -> Array:
@@ -148,8 +151,8 @@ def build_array_shares(fleet: Capacities) -> ArrayShares:
     places = {kind: index for index, kind in enumerate(kinds)}
     return ArrayShares(
         fleet=fleet,
-        raw={name: np.array(row[:edges]) for name, row in fleet.raw.items()},
-        usable={name: np.array(row[:edges]) for name, row in fleet.usable.items()},
+        raw=np.array([fleet.raw[name][:edges] for name in _HOST_NAMES]),
+        usable=np.array([fleet.usable[name][:edges] for name in _HOST_NAMES]),
         links=_build_link_arrays(fleet.links),
         nominal_links=_build_link_arrays(fleet.nominal_links),
         kinds=kinds,
@@ -203,14 +206,25 @@ class ArrayTotals:
     def __iter__(self) -> Iterator[float]:
         return iter(self.row.tolist())
 
+    def exclude(self, places: Collection[int]) -> None:
+        """Take ``places`` out."""
+        self.row[list(places)] = EXCLUDED_TOTAL
+
     def find_top(self) -> int | None:
         """The first feasible place with the greatest total."""
         top = int(self.row.argmax())
-        return top if is_feasible_total(self[top]) else None
+        return top if is_feasible_total(self.row[top]) else None
 
     def list_at_least(self, level: float) -> list[int]:
-        """The places whose total is ``level`` or more, in order."""
-        places: list[int] = (self.row >= level).nonzero()[0].tolist()
+        """The places whose total is ``level`` or more, which the greatest is, in order."""
+        row = self.row
+        first = int(row.argmax())
+        top, row[first] = row[first], EXCLUDED_TOTAL
+        second = row[row.argmax()]
+        row[first] = top
+        if second < level:
+            return [first]  # the common case: two scans that make no array
+        places: list[int] = (row >= level).nonzero()[0].tolist()
         return places
 
     def copy(self) -> "ArrayTotals":
@@ -236,16 +250,18 @@ class ArrayScan:
 
     def compute_totals(self, free: FreeArrays, task: Task, *, offset: float) -> ArrayTotals:
         """As ``scan.compute_resource_totals``, with ``EXCLUDED_TOTAL`` for the robots after the edges."""
-        shares, weights = self.shares, self.weights
-        demanded, weighted = shares.of_hosts(task, weights)
-        terms = free.free - demanded
-        links = _find_link_terms(free, shares, task)
-        totals = offset + free.weighted - weighted + weights[NETWORK.name] * links
-        if min(terms.min(), links.min()) < -EPSILON:
-            totals[(terms < -EPSILON).any(axis=0) | (links < -EPSILON)] -= INFEASIBLE_PENALTY
+        shares, edges = self.shares, self.shares.fleet.edges
+        demanded, weighted = shares.of_hosts(task, self.weights)
+        terms: Array = np.empty((len(_HOST_NAMES) + 1, edges))
+        np.subtract(free.free, demanded, out=terms[:-1])
+        _fill_link_terms(terms[-1], free, shares, task)
         row: Array = np.empty(len(shares.fleet.places))
-        row[: shares.fleet.edges] = totals
-        row[shares.fleet.edges :] = EXCLUDED_TOTAL
+        row[edges:] = EXCLUDED_TOTAL
+        totals = np.add(free.weighted, offset, out=row[:edges])
+        totals -= weighted
+        totals += self.weights[NETWORK.name] * terms[-1]
+        if np.minimum.reduce(terms, axis=None) < -EPSILON:
+            totals[(terms < -EPSILON).any(axis=0)] -= INFEASIBLE_PENALTY
         return ArrayTotals(row)
 
 
@@ -254,15 +270,12 @@ def build_array_scan(fleet: Capacities, weights: Weights) -> ArrayScan:
     return ArrayScan(shares=build_array_shares(fleet), weights=weights)
 
 
-def _find_link_terms(mirror: FreeArrays, shares: ArrayShares, task: Task) -> Array:
+def _fill_link_terms(terms: Array, mirror: FreeArrays, shares: ArrayShares, task: Task) -> None:
     """UT_net at every edge: the worst of the task's links; 1 without a robot."""
-    edges = shares.fleet.edges
-    if not task.robots:
-        return np.ones(edges)
-    if any(robot not in mirror.free_links for robot in task.robots):
-        return np.full(edges, NO_FREE_SHARE)
-    found = [mirror.free_links[robot] - shares.of_link(task, robot) for robot in task.robots]
-    worst: Array = found[0]
-    for other in found[1:]:
-        worst = np.minimum(worst, other)
-    return worst
+    terms.fill(1.0 if not task.robots else inf)
+    for robot in task.robots:
+        row = mirror.free_links.get(robot)
+        if row is None:
+            terms.fill(NO_FREE_SHARE)
+            return
+        np.minimum(terms, row - shares.of_link(task, robot), out=terms)

@@ -11,7 +11,7 @@ from edgectl.model.resource import AFFINITY, RESOURCES, Resource
 from edgectl.model.task import OnboardRule, Task
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.feasibility import compute_resource_terms, find_own_robot, find_rule_against
-from edgectl.scheduler.ledger import Ledger
+from edgectl.scheduler.ledger import Ledger, compute_demand_usage
 from edgectl.scheduler.move_cost import HandoffHistory
 from edgectl.scheduler.placement_rules import NO_RULES, PlacementRules
 from edgectl.scheduler.scan import (
@@ -22,6 +22,7 @@ from edgectl.scheduler.scan import (
     compute_resource_totals,
     is_feasible_total,
 )
+from edgectl.scheduler.task_usage import TaskUsage
 from edgectl.scheduler.utility import EPSILON, compute_affinity, total_utility
 
 if TYPE_CHECKING:  # NumPy is imported only where it pays
@@ -116,8 +117,8 @@ class CandidateSet:
     candidate. ``predecessors`` are those with a place, ``located`` their places; ``utilities`` is UT_task by
     reward. ``placed`` counts the tasks that this pass has put on each place. ``waived`` is the rejection of
     an incumbent that is weighed all the same, because nothing else is left. ``tolerated``: the incumbent
-    counts as feasible although its load exceeds it, within the slack. ``terms``: those of the places that
-    were asked for.
+    counts as feasible although its load exceeds it, within the slack. ``terms`` and ``uses``: the terms and
+    the load of the task at the places that were asked for.
     """
 
     context: AssignmentContext
@@ -135,6 +136,7 @@ class CandidateSet:
     waived: Rejection | None = None
     tolerated: bool = False
     terms: dict[int, ReferenceTerms] = field(default_factory=dict, init=False)
+    uses: dict[int, TaskUsage] = field(default_factory=dict, init=False)
 
     def name(self, place: int) -> str:
         """The name of a place."""
@@ -204,13 +206,29 @@ def _is_tolerated(candidates: CandidateSet) -> bool:
 
 def find_excess(candidates: CandidateSet, place: int) -> list[Resource]:
     """The resources of which the task lacks more at ``place`` than the slack, or which are missing there."""
-    terms, _ = compute_resource_terms(candidates.ledger, candidates.task, place)
+    terms, _ = resource_terms_at(candidates, place)
     get_slack = candidates.context.fleet.get_slack
     return [
         resource
         for resource in RESOURCES
         if (term := terms[resource.name]) is None or term < -get_slack(resource, place) - EPSILON
     ]
+
+
+def usage_at(candidates: CandidateSet, place: int) -> TaskUsage:
+    """The load (d) of the task at one place."""
+    found = candidates.uses.get(place)
+    if found is None:
+        found = compute_demand_usage(candidates.context.fleet, candidates.task, place)
+        candidates.uses[place] = found
+    return found
+
+
+def resource_terms_at(
+    candidates: CandidateSet, place: int
+) -> tuple[dict[str, float | None], tuple[Rejection, ...]]:
+    """UT_k of the task at one place by resource, and what is lacking there."""
+    return compute_resource_terms(candidates.ledger, candidates.task, place, usage_at(candidates, place))
 
 
 def terms_at(candidates: CandidateSet, place: int) -> ReferenceTerms:
@@ -222,7 +240,7 @@ def terms_at(candidates: CandidateSet, place: int) -> ReferenceTerms:
 
 
 def _compute_reference_terms(candidates: CandidateSet, place: int) -> ReferenceTerms:
-    values, rejections = compute_resource_terms(candidates.ledger, candidates.task, place)
+    values, rejections = resource_terms_at(candidates, place)
     values[AFFINITY] = candidates.utilities[compute_affinity(candidates.located, place)]
     terms = UtilityTerms.from_complete(values)
     return terms, total_utility(candidates.context.policy.weights, terms), rejections
@@ -270,7 +288,8 @@ def _get_edge_rejections(context: AssignmentContext, task: Task) -> dict[int, Re
     """Edges that may not take ``task``: by its rules, or closed to everybody."""
     rules = task.hosts
     only = task.onboard is OnboardRule.ONLY or not context.rules.edges
-    key = (rules.only, rules.never, tuple(sorted(rules.labels.items())), rules.pin, only)
+    labels = tuple(sorted(rules.labels.items())) if rules.labels else ()
+    key = (rules.only, rules.never, labels, rules.pin, only)
     if key not in context.edge_rejections:
         found = dict(context.fleet.closed)
         for edge in range(context.fleet.edges):
@@ -317,8 +336,8 @@ def _compute_place_totals(candidates: CandidateSet) -> Totals:
     for place in set(candidates.located):
         if place < fleet.edges and place not in candidates.denied:
             row[place] += weight * (candidates.utilities[compute_affinity(candidates.located, place)] - far)
-    for place in candidates.denied:
-        row[place] = EXCLUDED_TOTAL
+    if candidates.denied:
+        row.exclude(candidates.denied)
     for place in candidates.robots:
         if place not in candidates.denied:
             row[place] = _compute_total_at(candidates, place)

@@ -138,7 +138,8 @@ def _resolve_link(
     link = sample.links.get(robot) if sample is not None else None
     if link is None:
         return None, None
-    now, declared = link.capacity_bytes_per_s, inventory.links.get((edge, robot))
+    now, links = link.capacity_bytes_per_s, inventory.links
+    declared = links.get((edge, robot)) if links else None
     if not now:
         return now, 0.0
     if declared is None:

@@ -6,8 +6,7 @@ from edgectl.dataclass import dataclass
 from edgectl.model.assignment import MoveCost, Reason, RejectionRule, Verdict
 from edgectl.model.resource import HOST_RESOURCES
 from edgectl.model.task import NothingFits
-from edgectl.scheduler.candidates import CandidateSet, find_excess
-from edgectl.scheduler.feasibility import compute_resource_terms
+from edgectl.scheduler.candidates import CandidateSet, find_excess, resource_terms_at
 from edgectl.scheduler.ledger import NO_FREE_SHARE
 from edgectl.scheduler.move_cost import estimate_move_cost
 from edgectl.scheduler.scan import compute_worst_terms, is_feasible_total
@@ -137,7 +136,7 @@ def _move_by_load(
 
 def _is_excess_urgent(candidates: CandidateSet, here: int) -> bool:
     """Whether a resource is short that a task cannot go without, or is not there at all."""
-    terms, _ = compute_resource_terms(candidates.ledger, candidates.task, here)
+    terms, _ = resource_terms_at(candidates, here)
     return any(
         not resource.compressible or terms[resource.name] is None
         for resource in find_excess(candidates, here)
@@ -257,7 +256,7 @@ def _compute_shortfalls(candidates: CandidateSet) -> dict[int, float]:
         if worst > NO_FREE_SHARE / 2 and place not in candidates.denied
     }
     for place in candidates.listed[edges:]:
-        terms, _ = compute_resource_terms(candidates.ledger, candidates.task, place)
+        terms, _ = resource_terms_at(candidates, place)
         known = [term for resource in HOST_RESOURCES if (term := terms[resource.name]) is not None]
         if place not in candidates.denied and len(known) == len(HOST_RESOURCES):
             found[place] = min(known)

@@ -8,8 +8,7 @@ from edgectl.model.task import Task
 from edgectl.scheduler.candidates import CandidateSet
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.choice import Choice
-from edgectl.scheduler.demand import list_resource_demands
-from edgectl.scheduler.lazy_ranking import LazyCounts, LazyRanking, RankingRequest
+from edgectl.scheduler.lazy_ranking import LazyCounts, LazyDemands, LazyRanking, RankingRequest
 from edgectl.scheduler.ranking import ScoredPlace, exclude_places, find_challenger, score_place
 from edgectl.scheduler.scan import EXCLUDED_TOTAL, is_feasible_total
 from edgectl.scheduler.utility import EPSILON
@@ -81,7 +80,7 @@ def build_decision(
         overcommitted=entry is not None and _is_overcommitted(entry),
         ranking=LazyRanking(ranking),
         rejection_counts=LazyCounts(ranking),
-        demand=list_resource_demands(fleet, candidates.task, place) if place is not None else (),
+        demand=LazyDemands(ranking, place) if place is not None else (),
     )
 
 

@@ -1,6 +1,5 @@
 """Demand (rho) of a task on one host (ADR 0025): declared, or measured on that class of hosts."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 from edgectl.model.assignment import DemandSource, ResourceDemand
@@ -55,23 +54,6 @@ def demand_at(fleet: Capacities, task: Task, place: int) -> Demand:
     if own is None:
         return task.demand
     return own.get(fleet.classes[place]) or own[OTHER_CLASS]
-
-
-def list_edge_amounts(fleet: Capacities, task: Task, resource: str, whole: Sequence[float]) -> list[float]:
-    """The demand of ``task`` for ``resource`` at every edge, in the unit of ``whole``, the capacities that a
-    share is of.
-    """
-    known = fleet.demands.get(task.name)
-    if known is None:
-        quantity = task.demand[resource] or ZERO
-        return [quantity.of(capacity) for capacity in whole[: fleet.edges]]
-    by_class = {kind: demand[resource] or ZERO for kind, demand in known.items()}
-    other = by_class[OTHER_CLASS]
-    if any(quantity.relative for quantity in by_class.values()):
-        places = zip(fleet.classes, whole[: fleet.edges], strict=False)
-        return [by_class.get(kind, other).of(capacity) for kind, capacity in places]
-    amounts = {kind: quantity.value for kind, quantity in by_class.items()}
-    return [amounts.get(kind, other.value) for kind in fleet.classes[: fleet.edges]]
 
 
 def list_resource_demands(fleet: Capacities, task: Task, place: int) -> tuple[ResourceDemand, ...]:

@@ -11,6 +11,7 @@ from edgectl.model.resource import NETWORK, RESOURCES, Resource
 from edgectl.model.task import OnboardRule, Task
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.ledger import Ledger, compute_demand_usage
+from edgectl.scheduler.task_usage import TaskUsage
 from edgectl.scheduler.utility import EPSILON, resource_utility
 
 
@@ -43,15 +44,16 @@ def find_rule_against(host: Host, task: Task, *, robot: bool) -> RejectionRule |
 
 
 def compute_resource_terms(
-    ledger: Ledger, task: Task, place: int
+    ledger: Ledger, task: Task, place: int, use: TaskUsage | None = None
 ) -> tuple[dict[str, float | None], tuple[Rejection, ...]]:
     """UT_k of one task at one place by resource (None without capacity), and the rejections for what it lacks
     there: the reference form of eqs. (1)-(3).
 
-    ``scan`` computes the same for all edges at once.
+    ``use``: what the task counts for there, where that is known. ``scan`` computes the same for all edges at
+    once.
     """
     fleet = ledger.fleet
-    use = compute_demand_usage(fleet, task, place)
+    use = compute_demand_usage(fleet, task, place) if use is None else use
     terms: dict[str, float | None] = {}
     rejections: list[Rejection] = []
     for resource in RESOURCES:

@@ -1,16 +1,20 @@
-"""Rankings that are made when they are first read: most plans are carried out without (ADR 0075)."""
+"""Rankings and demands that are made when they are first read: most are never looked at (ADR 0075)."""
 
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field
-from typing import NamedTuple, overload
+from typing import NamedTuple, TypeVar, overload
 
 from edgectl.dataclass import dataclass
-from edgectl.model.assignment import RankedHost, Rejection
+from edgectl.model.assignment import RankedHost, Rejection, ResourceDemand
 from edgectl.model.task import Task
 from edgectl.scheduler.candidates import AssignmentContext, gather_candidates, weigh_candidates
+from edgectl.scheduler.demand import list_resource_demands
 from edgectl.scheduler.ledger import Ledger
 from edgectl.scheduler.ranking import rank_hosts
 from edgectl.scheduler.task_usage import TaskUsage
+
+Item = TypeVar("Item", covariant=True)
 
 
 class LoadChange(NamedTuple):
@@ -100,26 +104,26 @@ class RankingRequest:
         return self.made
 
 
-class LazyRanking(Sequence[RankedHost]):
-    """The ranked hosts of one task, made when they are first read."""
+class LazySequence(Sequence[Item]):
+    """Items that ``_read`` makes when they are first read; equal to any sequence of the same."""
 
-    __slots__ = ("_request",)
+    __slots__ = ()
 
-    def __init__(self, request: RankingRequest) -> None:
-        self._request = request
+    @abstractmethod
+    def _read(self) -> tuple[Item, ...]: ...
 
     @overload
-    def __getitem__(self, index: int) -> RankedHost: ...
+    def __getitem__(self, index: int) -> Item: ...
     @overload
-    def __getitem__(self, index: slice) -> tuple[RankedHost, ...]: ...
-    def __getitem__(self, index: int | slice) -> RankedHost | tuple[RankedHost, ...]:
-        return self._request.make()[0][index]
+    def __getitem__(self, index: slice) -> tuple[Item, ...]: ...
+    def __getitem__(self, index: int | slice) -> Item | tuple[Item, ...]:
+        return self._read()[index]
 
     def __len__(self) -> int:
-        return len(self._request.make()[0])
+        return len(self._read())
 
-    def __iter__(self) -> Iterator[RankedHost]:
-        return iter(self._request.make()[0])
+    def __iter__(self) -> Iterator[Item]:
+        return iter(self._read())
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Sequence) and tuple(self) == tuple(other)
@@ -127,7 +131,36 @@ class LazyRanking(Sequence[RankedHost]):
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
-        return repr(self._request.make()[0])
+        return repr(self._read())
+
+
+class LazyRanking(LazySequence[RankedHost]):
+    """The ranked hosts of one task."""
+
+    __slots__ = ("_request",)
+
+    def __init__(self, request: RankingRequest) -> None:
+        self._request = request
+
+    def _read(self) -> tuple[RankedHost, ...]:
+        return self._request.make()[0]
+
+
+class LazyDemands(LazySequence[ResourceDemand]):
+    """What a task counts for at a place."""
+
+    __slots__ = ("_made", "_place", "_request")
+
+    def __init__(self, request: RankingRequest, place: int) -> None:
+        self._made: tuple[ResourceDemand, ...] | None = None
+        self._request = request
+        self._place = place
+
+    def _read(self) -> tuple[ResourceDemand, ...]:
+        if self._made is None:
+            fleet, task = self._request.context.fleet, self._request.task
+            self._made = list_resource_demands(fleet, task, self._place)
+        return self._made
 
 
 class LazyCounts(Mapping[str, int]):

@@ -4,16 +4,17 @@ Its reference is ``feasibility``; tests compare the two. A row holds one number 
 shares: UT = free share - demanded share, one row operation per resource.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from operator import lt, sub
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from edgectl.model.policy import Weights
 from edgectl.model.resource import HOST_RESOURCES, NETWORK
 from edgectl.model.task import ZERO, Quantity, Task
 from edgectl.scheduler.capacities import Capacities
-from edgectl.scheduler.demand import list_edge_amounts
+from edgectl.scheduler.demand import demand_at
+from edgectl.scheduler.edge_groups import EdgeGroups, group_edges
 from edgectl.scheduler.ledger import NO_FREE_SHARE, Ledger
 from edgectl.scheduler.utility import EPSILON
 
@@ -44,6 +45,11 @@ class ListTotals(list[float]):
             return [first]  # the common case: three scans in C instead of one in Python
         return [place for place, total in enumerate(self) if total >= level]
 
+    def exclude(self, places: Collection[int]) -> None:
+        """Take ``places`` out."""
+        for place in places:
+            self[place] = EXCLUDED_TOTAL
+
     def copy(self) -> "ListTotals":
         """An independent row with the same totals."""
         return ListTotals(self)
@@ -59,21 +65,24 @@ class DemandShares:
     """Demands as shares of capacity, filled as they are first asked for.
 
     Rho is what is stated or learned from history; d is at least what a running task was measured to use (ADR
-    0060). ``rows`` is keyed by resource and quantity, of which a fleet has few; by the quantities of each
-    class of hosts where history decides. ``weighted`` is keyed by all of a task's quantities. ``links`` and
-    ``inverse_links`` are of the links to one robot. All but the last forget what they hold when they are full
-    (`MAX_CACHED_SHARES`): with a history of its own every task has other quantities.
+    0060). ``rows`` is keyed by resource and quantity, of which a fleet has few, ``weighted`` by all of a
+    task's quantities; ``links`` and ``inverse_links`` are of the links to one robot. All but the last forget
+    what they hold when they are full (`MAX_CACHED_SHARES`). With a history of its own every task has other
+    quantities: its rows are not kept, but computed by group of edges that are alike (ADR 0101): ``groups`` of
+    hosts, ``link_groups`` of links to one robot.
     """
 
     fleet: Capacities
     ones: list[float]
     zeros: list[float]
     rows: dict[object, list[float]] = field(default_factory=dict)
-    weighted: dict[object, list[float]] = field(default_factory=dict)
+    weighted: dict[object, Row] = field(default_factory=dict)
     inverse_links: dict[str, list[float]] = field(default_factory=dict)
     links: dict[object, list[float]] = field(default_factory=dict)
+    groups: EdgeGroups | None = None
+    link_groups: dict[str, EdgeGroups] = field(default_factory=dict)
 
-    def of_host(self, task: Task, resource: str) -> list[float]:
+    def of_host(self, task: Task, resource: str) -> Row:
         """D / Delta of a resource of hosts at every edge."""
         row = self._get_stated_row(task, resource)
         floor = self.fleet.floors.get(task.name)
@@ -81,50 +90,57 @@ class DemandShares:
             return row
         return _raise_shares(row, floor.used[resource], self.fleet.usable[resource])
 
-    def _get_stated_row(self, task: Task, resource: str) -> list[float]:
+    def _get_stated_row(self, task: Task, resource: str) -> Row:
         """Rho / Delta of a resource of hosts at every edge."""
-        key = resource, self._find_key(task, resource)
+        if task.name in self.fleet.demands:
+            groups = self._group_hosts()
+            return groups.expand(self._list_measured_shares(task, resource, groups))
+        key = resource, _build_key(task, resource)
         row = self.rows.get(key)
         if row is None:
-            amounts = list_edge_amounts(self.fleet, task, resource, self.fleet.raw[resource])
+            quantity, raw = task.demand[resource] or ZERO, self.fleet.raw[resource]
+            amounts = [quantity.of(capacity) for capacity in raw[: self.fleet.edges]]
             row = _build_share_row(amounts, self.fleet.usable[resource])
             self._keep(self.rows, key, row)
         return row
 
-    def _find_key(self, task: Task, *resources: str) -> object:
-        """Equal where rho of ``resources`` is the same at every edge."""
-        by_class = self.fleet.demands.get(task.name)
-        if by_class is None:
-            return tuple([task.demand[name] for name in resources])
-        return tuple(
-            (kind, *(demand[name] for name in resources)) for kind, demand in sorted(by_class.items())
-        )
+    def _group_hosts(self) -> EdgeGroups:
+        fleet = self.fleet
+        if self.groups is None:
+            columns = fleet.classes, *fleet.raw.values(), *fleet.usable.values()
+            self.groups = group_edges(columns, fleet.edges)
+        return self.groups
 
-    def _keep(self, cache: dict[object, list[float]], key: object, row: list[float]) -> None:
+    def _list_measured_shares(self, task: Task, resource: str, groups: EdgeGroups) -> list[float]:
+        """Rho / Delta of a resource of hosts at the first edge of each group."""
+        fleet = self.fleet
+        raw, usable = fleet.raw[resource], fleet.usable[resource]
+        return [
+            _divide((demand_at(fleet, task, edge)[resource] or ZERO).of(raw[edge]), usable[edge])
+            for edge in groups.first
+        ]
+
+    def _keep(self, cache: dict[object, Any], key: object, row: Row) -> None:
         if len(cache) * self.fleet.edges > MAX_CACHED_SHARES:
             cache.clear()
         cache[key] = row
 
-    def of_weighted(self, task: Task, weights: Weights) -> list[float]:
+    def of_weighted(self, task: Task, weights: Weights) -> Row:
         """Sum of weight x (d / Delta) over the resources of hosts at every edge, under one policy."""
         if task.name in self.fleet.floors:
-            return self._add_weighted(task, weights)
-        key = self._find_key(task, *_HOST_NAMES)
+            return _add_weighted([self.of_host(task, name) for name in _HOST_NAMES], weights)
+        if task.name in self.fleet.demands:
+            groups = self._group_hosts()
+            shares = [self._list_measured_shares(task, name, groups) for name in _HOST_NAMES]
+            return groups.expand(_add_weighted(shares, weights))
+        key = _build_key(task, *_HOST_NAMES)
         row = self.weighted.get(key)
         if row is None:
-            row = self._add_weighted(task, weights)
+            row = _add_weighted([self.of_host(task, name) for name in _HOST_NAMES], weights)
             self._keep(self.weighted, key, row)
         return row
 
-    def _add_weighted(self, task: Task, weights: Weights) -> list[float]:
-        row = self.zeros
-        for resource in HOST_RESOURCES:
-            weight = weights[resource.name]
-            demanded = self.of_host(task, resource.name)
-            row = [total + weight * share for total, share in zip(row, demanded, strict=True)]
-        return row
-
-    def of_link(self, task: Task, robot: str) -> list[float]:
+    def of_link(self, task: Task, robot: str) -> Row:
         """D / Delta of every edge's link to ``robot``."""
         row = self._get_stated_link_row(task, robot)
         floor = self.fleet.floors.get(task.name)
@@ -132,23 +148,30 @@ class DemandShares:
             return row
         return _raise_shares(row, floor.links[robot], self.fleet.links[robot])
 
-    def _get_stated_link_row(self, task: Task, robot: str) -> list[float]:
+    def _get_stated_link_row(self, task: Task, robot: str) -> Row:
         """Rho / Delta of every edge's link to ``robot``."""
-        key = robot, self._find_key(task, NETWORK.name)
+        if task.name in self.fleet.demands:
+            return self._build_measured_link_row(task, robot)
+        key = robot, _build_key(task, NETWORK.name)
         row = self.links.get(key)
         if row is None:
-            row = (
-                self._build_measured_link_row(task, robot)
-                if task.name in self.fleet.demands
-                else self._build_link_row(task.demand[NETWORK.name] or ZERO, robot)
-            )
+            row = self._build_link_row(task.demand[NETWORK.name] or ZERO, robot)
             self._keep(self.links, key, row)
         return row
 
-    def _build_measured_link_row(self, task: Task, robot: str) -> list[float]:
-        nominal = [capacity or 0.0 for capacity in self.fleet.nominal_links[robot]]
-        capacities = [capacity or 0.0 for capacity in self.fleet.links[robot]]
-        return _build_share_row(list_edge_amounts(self.fleet, task, NETWORK.name, nominal), capacities)
+    def _build_measured_link_row(self, task: Task, robot: str) -> Row:
+        fleet, nominal, now = self.fleet, self.fleet.nominal_links[robot], self.fleet.links[robot]
+        groups = self.link_groups.get(robot)
+        if groups is None:
+            groups = self.link_groups[robot] = group_edges((fleet.classes, nominal, now), fleet.edges)
+        return groups.expand(
+            [
+                _divide(
+                    (demand_at(fleet, task, edge)[NETWORK.name] or ZERO).of(nominal[edge] or 0.0), now[edge]
+                )
+                for edge in groups.first
+            ]
+        )
 
     def _build_link_row(self, quantity: Quantity, robot: str) -> list[float]:
         units = self._per_nominal(robot) if quantity.relative else self._per_byte(robot)
@@ -173,6 +196,25 @@ class DemandShares:
 def build_demand_shares(fleet: Capacities) -> DemandShares:
     """Empty shares of ``fleet``."""
     return DemandShares(fleet=fleet, ones=[1.0] * fleet.edges, zeros=[0.0] * fleet.edges)
+
+
+def _build_key(task: Task, *resources: str) -> object:
+    """Equal where the stated rho of ``resources`` is."""
+    return tuple([task.demand[name] for name in resources])
+
+
+def _divide(amount: float, capacity: float | None) -> float:
+    """The amount as a share; 0 where there is no capacity."""
+    return amount / capacity if capacity else 0.0
+
+
+def _add_weighted(rows: Sequence[Row], weights: Weights) -> list[float]:
+    """The sum of weight x share over ``rows``, one for each resource of hosts."""
+    total = [0.0] * len(rows[0])
+    for name, row in zip(_HOST_NAMES, rows, strict=True):
+        weight = weights[name]
+        total = [so_far + weight * share for so_far, share in zip(total, row, strict=True)]
+    return total
 
 
 def _build_share_row(amounts: Row, usable: Row) -> list[float]:

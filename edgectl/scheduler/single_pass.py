@@ -3,13 +3,16 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 from functools import partial
+from types import MappingProxyType
 
 from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Decision, Reason, Rejection, Verdict
 from edgectl.model.task import Task
 from edgectl.scheduler.candidates import (
     AssignmentContext,
+    CandidateSet,
     gather_candidates,
+    usage_at,
     weigh_candidates,
 )
 from edgectl.scheduler.choice import Choice, MoveConstraints
@@ -22,12 +25,15 @@ from edgectl.scheduler.decisions import (
 )
 from edgectl.scheduler.initial_state import InitialState, RunningTask
 from edgectl.scheduler.lazy_ranking import LoadChange, LoadHistory, RankingRequest
-from edgectl.scheduler.ledger import Ledger, compute_demand_usage
+from edgectl.scheduler.ledger import Ledger
 from edgectl.scheduler.peaks import LoadPeaks, stays_in_place
 from edgectl.scheduler.placement_rules import NO_RULES
 from edgectl.scheduler.policies import SchedulingPolicy
 from edgectl.scheduler.sequence import is_need_met
 from edgectl.scheduler.task_usage import TaskUsage
+
+# Of a task that starts, and that no rule joins with others.
+_NO_CONSTRAINTS, _NONE_BARRED = MoveConstraints(), MappingProxyType[int, Rejection]({})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -186,6 +192,7 @@ def _decide_task(
         if progress.history is not None:
             progress.history.changes.append(LoadChange(running.place, running.use, is_charge=False))
     missing = _find_missing_predecessor(task, progress.located, state.completed) if running is None else None
+    candidates = None
     if missing is not None:
         reason = Reason.PREDECESSOR_INCOMPLETE if missing in progress.located else Reason.PREDECESSOR_MISSING
         choice = Choice(verdict=Verdict.UNPLACED, reason=reason, subject=missing)
@@ -194,10 +201,10 @@ def _decide_task(
             explain_replacement(unplaced_decision(task, told), how.initial.replaced.get(task.name))
         )
     else:
-        choice = _choose_place(how, state, prior_moves, progress, task)
+        choice, candidates = _choose_place(how, state, prior_moves, progress, task)
     progress.choices[task.name] = choice
-    if choice.place is not None:
-        _charge_demand(progress, task, choice.place)
+    if candidates is not None and choice.place is not None:
+        _charge_demand(progress, task.name, choice.place, usage_at(candidates, choice.place))
         _reserve_for_unit(how, state, progress, task, choice.place)
     else:
         progress.located.pop(task.name, None)  # it ran on a host that counts as gone
@@ -230,7 +237,7 @@ def _choose_place(
     prior_moves: Mapping[str, Choice],
     progress: _PassState,
     task: Task,
-) -> Choice:
+) -> tuple[Choice, CandidateSet]:
     running = state.running.get(task.name)
     incumbent = running.place if running is not None else None
     predecessors = _find_predecessors(how, state, progress, task)
@@ -244,7 +251,7 @@ def _choose_place(
         placed=progress.placed,
     )
     company = _build_company(how, state, progress, task)
-    barred: Mapping[int, Rejection] = {}
+    barred: Mapping[int, Rejection] = _NONE_BARRED
     if company is not None:
         candidates, barred = weigh_in_company(
             company, task, incumbent, lambda barred=None: weigh_candidates(gather(barred=barred))
@@ -275,7 +282,7 @@ def _choose_place(
         )
         decision = build_decision(candidates, told, initial_place, ranking)
         progress.decisions.append(explain_replacement(decision, how.initial.replaced.get(task.name)))
-    return choice
+    return choice, candidates
 
 
 def _find_predecessors(
@@ -297,6 +304,8 @@ def _build_move_constraints(
 
     Tasks that share a host have been there as long as the last of them.
     """
+    if running is None and company is None:
+        return _NO_CONSTRAINTS
     since = running.since if running is not None else None
     if company is not None:
         runs = [company.running[mate] for mate in company.list_mates(task.name) if mate in company.running]
@@ -345,13 +354,12 @@ def _change_reservation(progress: _PassState, place: int, use: TaskUsage, *, is_
         progress.history.changes.append(LoadChange(place, use, is_charge=is_charge, counts=False))
 
 
-def _charge_demand(progress: _PassState, task: Task, place: int) -> None:
-    use = compute_demand_usage(progress.ledger.fleet, task, place)
+def _charge_demand(progress: _PassState, name: str, place: int, use: TaskUsage) -> None:
     progress.ledger.charge(place, use)
     if progress.history is not None:
         progress.history.changes.append(LoadChange(place, use, is_charge=True))
-    progress.uses[task.name] = (place, use)
-    progress.located[task.name] = place
+    progress.uses[name] = (place, use)
+    progress.located[name] = place
     progress.placed[place] = progress.placed.get(place, 0) + 1
 
 

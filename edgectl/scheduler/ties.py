@@ -4,8 +4,7 @@ from collections.abc import Sequence
 
 from edgectl.model.policy import Preference
 from edgectl.model.resource import AFFINITY, RESOURCES
-from edgectl.scheduler.candidates import CandidateSet
-from edgectl.scheduler.feasibility import compute_resource_terms
+from edgectl.scheduler.candidates import CandidateSet, resource_terms_at
 from edgectl.scheduler.utility import EPSILON
 
 
@@ -43,5 +42,5 @@ def _rank_free_shares(candidates: CandidateSet, places: Sequence[int]) -> dict[i
 
 
 def _sum_resource_terms(candidates: CandidateSet, place: int) -> float:
-    terms, _ = compute_resource_terms(candidates.ledger, candidates.task, place)
+    terms, _ = resource_terms_at(candidates, place)
     return sum(term for term in terms.values() if term is not None)

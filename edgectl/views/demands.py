@@ -63,7 +63,7 @@ def _find_run(value: Plan, task: str, host: str | None) -> TaskSample | None:
 
 
 def _render_demand_row(
-    task: str, host: str, demand: tuple[ResourceDemand, ...], run: TaskSample | None = None
+    task: str, host: str, demand: Sequence[ResourceDemand], run: TaskSample | None = None
 ) -> Row:
     found = {rho.resource: rho for rho in demand}
     return (

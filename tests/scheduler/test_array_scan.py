@@ -4,6 +4,8 @@ import pytest
 from hypothesis import given, settings
 
 from edgectl.model.assignment import Assignment
+from tests.benchmarks.planner import add_measured_demand, build_fleet
+from tests.scheduler.fleets import NO_MEMORY
 from tests.scheduler.test_properties import Case, cases
 from tests.scheduler.test_scan import a_view
 from tests.scheduler.tight_fleets import TightFleet, build_full_fleet, build_random_fleet
@@ -28,6 +30,16 @@ def test_both_scans_decide_the_same(case: Case) -> None:
     [build_full_fleet(5, 20, seed=1), build_random_fleet(10, 40, 2, fill=0.9), build_random_fleet(70, 70, 3, fill=0.4)],
 )  # fmt: skip
 def test_both_scans_fill_a_fleet_in_the_same_way(fleet: TightFleet) -> None:
+    assert assign_with_arrays(fleet) == fleet.assign()
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_both_scans_decide_the_same_on_the_fleet_of_the_benchmark(measured: bool) -> None:
+    inventory, tasks, snapshot = build_fleet(40, 120)
+    memory = NO_MEMORY
+    if measured:
+        tasks, memory = add_measured_demand(tasks)
+    fleet = TightFleet(inventory=inventory, tasks=tasks, snapshot=snapshot, memory=memory)
     assert assign_with_arrays(fleet) == fleet.assign()
 
 

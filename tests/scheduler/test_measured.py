@@ -1,5 +1,6 @@
 """Measured demand by hand: the value used on each host, the charged load, and the explanation."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
@@ -61,7 +62,7 @@ def cpu_terms(tasks: Tasks, memory: ManagerState) -> dict[str, float | None]:
     }
 
 
-def select_measurable(demand: tuple[ResourceDemand, ...]) -> tuple[ResourceDemand, ...]:
+def select_measurable(demand: Sequence[ResourceDemand]) -> tuple[ResourceDemand, ...]:
     """The demands that can be measured: not those of a declared budget."""
     return tuple(rho for rho in demand if rho.resource in TASK_RESOURCES)
 

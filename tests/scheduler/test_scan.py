@@ -19,7 +19,8 @@ from edgectl.scheduler.candidates import (
 )
 from edgectl.scheduler.capacities import build_capacities
 from edgectl.scheduler.demand import add_measured_demands
-from edgectl.scheduler.ledger import build_measured_ledger
+from edgectl.scheduler.edge_groups import group_edges
+from edgectl.scheduler.ledger import build_measured_ledger, compute_demand_usage
 from edgectl.scheduler.move_cost import collect_handoff_history
 from edgectl.scheduler.policies import POLICIES
 from edgectl.scheduler.scan import EXCLUDED_TOTAL, MAX_CACHED_SHARES, build_demand_shares, is_feasible_total
@@ -103,6 +104,40 @@ def test_the_scan_agrees_with_the_reference(seed: int) -> None:
         assert is_feasible_total(view.totals[place]) == (not rejections)
         if not rejections:
             assert view.totals[place] == pytest.approx(total, abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_shares_are_those_of_each_edge_alone(seed: int) -> None:
+    """Also where they are computed once for all edges that are alike."""
+    view = a_view(seed)
+    fleet, task = view.context.fleet, view.task
+    uses = [compute_demand_usage(fleet, task, edge) for edge in range(fleet.edges)]
+    for name, usable in fleet.usable.items():
+        found = view.context.shares.of_host(task, name)
+        pairs = zip(uses, usable, strict=False)
+        assert list(found) == [use.used[name] / each if each else 0.0 for use, each in pairs]
+    weights = view.context.policy.weights
+    rows = [view.context.shares.of_host(task, name) for name in fleet.usable]
+    sums = [
+        sum(weights[name] * share for name, share in zip(fleet.usable, column, strict=True))
+        for column in zip(*rows, strict=True)
+    ]
+    assert list(view.context.shares.of_weighted(task, weights)) == pytest.approx(sums, abs=1e-12)
+    for robot in task.robots:
+        shares = view.context.shares.of_link(task, robot)
+        pairs_of_link = zip(uses, fleet.links[robot], strict=True)
+        expected = [use.links[robot] / now if now else 0.0 for use, now in pairs_of_link]
+        assert list(shares) == pytest.approx(expected, abs=1e-12)
+
+
+def test_edges_are_grouped_by_all_columns() -> None:
+    groups = group_edges(((1, 1, 2, 1), ("a", "b", "a", "a"), (0, 0, 0, 0, "a robot")), 4)
+    assert groups.first == (0, 1, 2)
+    assert tuple(groups.expand([0.1, 0.2, 0.3])) == (0.1, 0.2, 0.3, 0.1)
+    for edges in (0, 1, 2):
+        apart = group_edges(((1, 2, 3),), edges)
+        assert tuple(apart.expand([0.5] * edges)) == (0.5,) * edges
+    assert tuple(group_edges(((1, 1),), 2).expand([0.5])) == (0.5, 0.5)
 
 
 def test_histories_that_all_differ_do_not_fill_the_memory() -> None:
