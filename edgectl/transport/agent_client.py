@@ -12,6 +12,7 @@ import secrets
 import shlex
 import time
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
@@ -81,9 +82,9 @@ def use_cache_key(fleet: str, key: str) -> None:
 
 @cache
 def _read_boot_programs() -> bytes:
-    """The stub and the boot program, each after its length."""
-    texts = [(_AGENT_DIR / "link" / name).read_bytes() for name in ("stub.py", "boot.py")]
-    return b"".join(b"%d\n%s" % (len(text), text) for text in texts)
+    """The stub and the boot program, each after its length; most hosts never unpack the latter."""
+    stub, boot = ((_AGENT_DIR / "link" / name).read_bytes() for name in ("stub.py", "boot.py"))
+    return b"".join(b"%d\n%s" % (len(text), text) for text in (stub, zlib.compress(boot, 9)))
 
 
 def _build_packet(request: Mapping[str, object], marker: str, timeout: float, agent: bytes) -> bytes:

@@ -1,7 +1,7 @@
 """Boot program: load the agent from its cache or from standard input, check its hash, run one request.
 
 The text of this file is sent on standard input after that of ``stub.py``, which runs it in its own namespace,
-so it may import the standard library only. Input: ``length newline stub-text length newline boot-text``, then
+so it may import the standard library only. Input: ``length newline stub-text length newline boot-zlib``, then
 one line ``marker sha256 request-length agent-length timeout key operation``, the request, the agent. Output:
 one frame with the request's random marker, a length and a digest; anything else that a login shell prints is
 noise.
