@@ -85,13 +85,19 @@ def import_ros_command(
             hint="name it before the args: import ros FILE ARG:=VALUE; or --live HOST",
         )
     arguments = dict(word.split(_ASSIGNMENT, 1) for word in files if _ASSIGNMENT in word)
-    given = [str(path) for path in package_path or []]
-    for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
-        given += [part for part in os.environ.get(variable, "").split(os.pathsep) if part]
+    roots = _list_package_roots(package_path or [])
     made = import_ros(
-        paths, arguments, given, by_file=group is TaskUnit.FILE, refuse_exposed=refuse_exposed_files
+        paths, arguments, roots, by_file=group is TaskUnit.FILE, refuse_exposed=refuse_exposed_files
     )
     _put(made, out)
+
+
+def _list_package_roots(given: list[Path]) -> list[str]:
+    """The directories below which packages are: those given, then those of this shell's ROS."""
+    found = [str(path) for path in given]
+    for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
+        found += [part for part in os.environ.get(variable, "").split(os.pathsep) if part]
+    return found
 
 
 def _import_live(

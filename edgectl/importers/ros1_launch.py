@@ -1,20 +1,15 @@
 """Reader of ROS 1 launch files (``.launch``): what roslaunch would start. Nothing is run."""
 
 import posixpath
-import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 from edgectl.config.problems import Mark, ProblemCode
 from edgectl.importers.element_rules import (
-    CONDITIONS,
-    are_conditions_met,
     build_unknown_element,
-    check_attribute_names,
     check_root,
-    split_words,
 )
-from edgectl.importers.elements import Attribute, Element, parse_xml
+from edgectl.importers.elements import Element, parse_xml
 from edgectl.importers.fault import ImportFaultError, collect_fault
 from edgectl.importers.launch_values import (
     MAX_INCLUDE_DEPTH,
@@ -23,61 +18,20 @@ from edgectl.importers.launch_values import (
     Machine,
     RosNode,
     Workspace,
-    expand_packages,
-    has_unknown_package,
     join_names,
     read_referred_file,
 )
-from edgectl.importers.ros1_substitution import substitute_ros1
-from edgectl.importers.ros_parameters import flatten_parameters, parse_parameter_value, read_parameter_text
+from edgectl.importers.ros1_attributes import AttributeReader, Ros1Scope
+from edgectl.importers.ros1_parameters import load_rosparam, read_parameter
 from edgectl.names import format_name_list, suggest_name
 
-# Element -> its attributes, those that must be given first.
-ATTRIBUTES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "launch": ((), ("deprecated",)),
-    "arg": (("name",), ("value", "default", "doc")),
-    "env": (("name", "value"), ()),
-    "group": ((), ("ns", "clear_params")),
-    "include": (("file",), ("ns", "clear_params", "pass_all_args")),
-    "machine": (("name", "address"), ("env-loader", "user", "password", "ssh-port", "timeout", "default",
-                                      "ros-root", "ros-package-path")),
-    "node": (("pkg", "type", "name"), ("args", "machine", "respawn", "respawn_delay", "required", "ns",
-                                       "clear_params", "output", "cwd", "launch-prefix")),
-    "param": (("name",), ("value", "type", "textfile", "binfile", "command")),
-    "remap": (("from", "to"), ()),
-    "rosparam": ((), ("command", "file", "param", "ns", "subst_value")),
-    "test": ((), ("pkg", "type", "test-name", "name", "args", "clear_params", "cwd", "launch-prefix", "ns",
-                  "retry", "time-limit")),
-}  # fmt: skip
 _CHILDREN_OF_NODE = ("env", "remap", "param", "rosparam")
-_GRAPH_NAME = re.compile(r"[A-Za-z~/][\w/]*")
-_BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
-
-
-@dataclass(slots=True, kw_only=True)
-class _Scope:
-    """What applies to the elements that follow. ``given``: args from outside; ``used``: those declared."""
-
-    file: str
-    namespace: str = "/"
-    arguments: dict[str, str] = field(default_factory=dict)
-    given: dict[str, str] = field(default_factory=dict)
-    used: set[str] = field(default_factory=set)
-    passed: frozenset[str] = frozenset()
-    env: dict[str, str] = field(default_factory=dict)
-    remaps: tuple[tuple[str, str], ...] = ()
-    local: dict[str, object] = field(default_factory=dict)
-    trail: tuple[str, ...] = ()
-
-    def copy(self) -> "_Scope":
-        """A scope whose changes stay in it; declared args are noted in both."""
-        return replace(self, arguments=dict(self.arguments), env=dict(self.env), local=dict(self.local))
 
 
 def read_ros1_launch(path: str, arguments: Mapping[str, str], workspace: Workspace, launch: Launch) -> None:
     """Add everything that ``roslaunch PATH ARGUMENTS`` would start to ``launch``; problems are collected."""
     reader = _Reader(workspace, launch)
-    scope = _Scope(file=path, given=dict(arguments))
+    scope = Ros1Scope(file=path, given=dict(arguments))
     root = reader.load(path)
     if root is None:
         return
@@ -88,18 +42,18 @@ def read_ros1_launch(path: str, arguments: Mapping[str, str], workspace: Workspa
         launch.problems.add(root.mark, ProblemCode.UNKNOWN_NAME, f"the file declares no arg {name}", hint)
 
 
-class _Reader:
+class _Reader(AttributeReader):
     """A method per element."""
 
     def __init__(self, workspace: Workspace, launch: Launch) -> None:
-        self.workspace, self.launch = workspace, launch
+        super().__init__(workspace, launch)
         self.default_machine = ""
 
     def load(self, path: str) -> Element | None:
         source = self.workspace.read(path, self.launch.problems)
         return parse_xml(source, self.launch.problems) if source is not None else None
 
-    def read_file(self, root: Element, scope: _Scope) -> None:
+    def read_file(self, root: Element, scope: Ros1Scope) -> None:
         if not check_root(root, self.launch.problems):
             return
         with collect_fault(self.launch.problems):
@@ -108,8 +62,8 @@ class _Reader:
             self.launch.note(root.mark, f"the file is deprecated: {root.attributes['deprecated'].text}")
         self.read_children(root, scope)
 
-    def read_children(self, parent: Element, scope: _Scope) -> None:
-        handlers: dict[str, Callable[[Element, _Scope], None]] = {
+    def read_children(self, parent: Element, scope: Ros1Scope) -> None:
+        handlers: dict[str, Callable[[Element, Ros1Scope], None]] = {
             "arg": self.read_arg,
             "env": self.read_env,
             "group": self.read_group,
@@ -129,47 +83,7 @@ class _Reader:
                 if self.is_wanted(element, scope):
                     handlers[element.tag](element, scope)
 
-    def check_attributes(self, element: Element) -> None:
-        needed, others = ATTRIBUTES[element.tag]
-        check_attribute_names(element, (*needed, *others, *CONDITIONS))
-        for name in needed:
-            if not element.attributes.get(name, Attribute(text="", mark=element.mark)).text.strip():
-                message = f"{element.tag} needs {name}"
-                empty = name == "value" and name in element.attributes
-                if not empty:
-                    raise ImportFaultError(element.mark, ProblemCode.MISSING, message, f'add {name}=".."')
-
-    def text(self, element: Element, name: str, scope: _Scope, default: str = "") -> str:
-        """The attribute with its substitutions replaced."""
-        attribute = element.attributes.get(name)
-        if attribute is None:
-            return default
-        return substitute_ros1(
-            attribute.text, attribute.mark, scope.arguments, scope.file, self.workspace, self.launch
-        )
-
-    def boolean(self, element: Element, name: str, scope: _Scope) -> bool | None:
-        if name not in element.attributes:
-            return None
-        value = self.text(element, name, scope).strip().lower()
-        if value not in _BOOLEANS:
-            mark = element.attributes[name].mark
-            message = f"{name} must be true or false, not {value!r}"
-            raise ImportFaultError(mark, ProblemCode.WORD, message, "write true, false, 1 or 0")
-        return _BOOLEANS[value]
-
-    def is_wanted(self, element: Element, scope: _Scope) -> bool:
-        return are_conditions_met(element, lambda name: self.boolean(element, name, scope))
-
-    def graph_name(self, element: Element, name: str, scope: _Scope) -> str:
-        value = self.text(element, name, scope)
-        if value and not _GRAPH_NAME.fullmatch(value):
-            mark = element.attributes[name].mark
-            message = f"{value!r} is no name of the ROS graph"
-            raise ImportFaultError(mark, ProblemCode.NAME, message, "use letters, digits, _ and /")
-        return value
-
-    def read_arg(self, element: Element, scope: _Scope) -> None:
+    def read_arg(self, element: Element, scope: Ros1Scope) -> None:
         name = self.text(element, "name", scope)
         if "value" in element.attributes and "default" in element.attributes:
             message = f"arg {name} has both value and default"
@@ -193,25 +107,25 @@ class _Reader:
             raise ImportFaultError(element.mark, ProblemCode.MISSING, message, f"give it: {name}:=VALUE")
         scope.passed -= {name}
 
-    def read_env(self, element: Element, scope: _Scope) -> None:
+    def read_env(self, element: Element, scope: Ros1Scope) -> None:
         scope.env[self.text(element, "name", scope)] = self.text(element, "value", scope)
 
-    def read_remap(self, element: Element, scope: _Scope) -> None:
+    def read_remap(self, element: Element, scope: Ros1Scope) -> None:
         pair = (self.graph_name(element, "from", scope), self.graph_name(element, "to", scope))
         scope.remaps = (*(each for each in scope.remaps if each[0] != pair[0]), pair)
 
-    def note_clear_params(self, element: Element, scope: _Scope) -> None:
+    def note_clear_params(self, element: Element, scope: Ros1Scope) -> None:
         if self.boolean(element, "clear_params", scope):
             mark = element.attributes["clear_params"].mark
             self.launch.note(mark, "clear_params is not imported: parameters of earlier runs stay")
 
-    def read_group(self, element: Element, scope: _Scope) -> None:
+    def read_group(self, element: Element, scope: Ros1Scope) -> None:
         self.note_clear_params(element, scope)
         inner = scope.copy()
         inner.namespace = join_names(scope.namespace, self.graph_name(element, "ns", scope))
         self.read_children(element, inner)
 
-    def read_include(self, element: Element, scope: _Scope) -> None:
+    def read_include(self, element: Element, scope: Ros1Scope) -> None:
         self.note_clear_params(element, scope)
         path = self.find_file(element, "file", scope)
         mark = element.attributes["file"].mark
@@ -222,7 +136,7 @@ class _Reader:
             raise ImportFaultError(
                 mark, ProblemCode.INCLUDE, message, "remove this include, or put an if on it"
             )
-        inner = _Scope(
+        inner = Ros1Scope(
             file=path,
             namespace=join_names(scope.namespace, self.graph_name(element, "ns", scope)),
             env=dict(scope.env),
@@ -246,7 +160,7 @@ class _Reader:
                 hint = f"did you mean {match}?" if match else "remove this arg"
                 self.launch.problems.add(place, ProblemCode.UNKNOWN_NAME, message, hint)
 
-    def read_include_args(self, element: Element, scope: _Scope, inner: _Scope) -> dict[str, Mark]:
+    def read_include_args(self, element: Element, scope: Ros1Scope, inner: Ros1Scope) -> dict[str, Mark]:
         """Give the args of an include to ``inner``; the place of each."""
         stated = {}
         for child in element.children:
@@ -271,13 +185,7 @@ class _Reader:
             inner.passed -= {name}
         return stated
 
-    def find_file(self, element: Element, name: str, scope: _Scope) -> str:
-        """The path of a file that an attribute names, on this machine."""
-        mark = element.attributes[name].mark
-        path = expand_packages(self.text(element, name, scope), self.workspace, mark)
-        return posixpath.normpath(path)
-
-    def read_machine(self, element: Element, scope: _Scope) -> None:
+    def read_machine(self, element: Element, scope: Ros1Scope) -> None:
         name, address = self.text(element, "name", scope), self.text(element, "address", scope)
         port = self.text(element, "ssh-port", scope, "0")
         if not port.isdecimal() or int(port) > 65535:
@@ -317,7 +225,7 @@ class _Reader:
                 child.mark, f"{child.tag} of machine {name} is not imported", "write env: in the inventory"
             )
 
-    def read_node(self, element: Element, scope: _Scope) -> None:
+    def read_node(self, element: Element, scope: Ros1Scope) -> None:
         inner = scope.copy()
         name = self.graph_name(element, "name", scope)
         if "/" in name:
@@ -352,10 +260,7 @@ class _Reader:
                 message = f"the node {node.full_name} is defined twice, first at {place}"
                 raise ImportFaultError(node.mark, ProblemCode.TAKEN, message, "rename one of the two")
 
-    def words(self, element: Element, name: str, scope: _Scope) -> tuple[str, ...]:
-        return split_words(element, name, self.text(element, name, scope))
-
-    def find_machine(self, element: Element, scope: _Scope) -> str:
+    def find_machine(self, element: Element, scope: Ros1Scope) -> str:
         name = self.text(element, "machine", scope)
         if name and name not in self.launch.machines:
             match = suggest_name(name, self.launch.machines)
@@ -368,7 +273,7 @@ class _Reader:
             raise ImportFaultError(mark, ProblemCode.UNKNOWN_NAME, f"unknown machine {name}", hint)
         return name
 
-    def read_node_children(self, element: Element, inner: _Scope, node: RosNode) -> None:
+    def read_node_children(self, element: Element, inner: Ros1Scope, node: RosNode) -> None:
         for child in element.children:
             if child.tag not in _CHILDREN_OF_NODE:
                 raise build_unknown_element(child, _CHILDREN_OF_NODE)
@@ -380,13 +285,13 @@ class _Reader:
             elif child.tag == "remap":
                 self.read_remap(child, inner)
             elif child.tag == "param":
-                values, computed = self.read_value(child, inner)
+                values, computed = read_parameter(self, child, inner)
                 node.parameters |= {name.removeprefix("~"): value for name, value in values.items()}
                 node.computed |= {name.removeprefix("~"): words for name, words in computed.items()}
             else:
-                self.load_rosparam(child, inner, node)
+                load_rosparam(self, child, inner, node)
 
-    def note_node_attributes(self, element: Element, scope: _Scope, name: str) -> None:
+    def note_node_attributes(self, element: Element, scope: Ros1Scope, name: str) -> None:
         self.note_clear_params(element, scope)
         if self.boolean(element, "required", scope):
             mark = element.attributes["required"].mark
@@ -403,8 +308,8 @@ class _Reader:
                 "write workdir: in the task",
             )
 
-    def read_param(self, element: Element, scope: _Scope) -> None:
-        values, computed = self.read_value(element, scope)
+    def read_param(self, element: Element, scope: Ros1Scope) -> None:
+        values, computed = read_parameter(self, element, scope)
         for name, value in values.items():
             if name.startswith("~"):
                 scope.local[name[1:]] = value
@@ -416,81 +321,8 @@ class _Reader:
             else:
                 self.launch.computed[join_names(scope.namespace, name)] = words
 
-    def read_value(
-        self, element: Element, scope: _Scope
-    ) -> tuple[dict[str, object], dict[str, tuple[str, ...]]]:
-        """The parameter that an element sets, by its name: its value, or the command that prints it.
+    def read_rosparam(self, element: Element, scope: Ros1Scope) -> None:
+        load_rosparam(self, element, scope, None)
 
-        Both are empty if it cannot be had.
-        """
-        name = self.graph_name(element, "name", scope)
-        given = [key for key in ("value", "textfile", "binfile", "command") if key in element.attributes]
-        if len(given) != 1:
-            message = f"param {name} needs one of value, textfile and command, and has {len(given)}"
-            raise ImportFaultError(element.mark, ProblemCode.MISSING, message, 'add value=".."')
-        kind = self.text(element, "type", scope)
-        if given[0] == "value":
-            mark = element.attributes["value"].mark
-            return {name: parse_parameter_value(self.text(element, "value", scope), kind, mark)}, {}
-        if given[0] == "textfile":
-            path = self.find_file(element, "textfile", scope)
-            mark = element.attributes["textfile"].mark
-            return {name: read_referred_file(path, self.workspace, mark).text}, {}
-        if given[0] == "command" and kind in ("", "auto", "str", "string"):
-            return {}, {name: self.words(element, "command", scope)}
-        reason = f"the output of its command is of type {kind}" if given[0] == "command" else "it is binary"
-        hint = f"write it before the command of the task: rosparam set {name} .."
-        self.launch.note(element.mark, f"param {name} is not imported: {reason}", hint)
-        return {}, {}
-
-    def read_rosparam(self, element: Element, scope: _Scope) -> None:
-        self.load_rosparam(element, scope, None)
-
-    def load_rosparam(self, element: Element, scope: _Scope, node: RosNode | None) -> None:
-        """Add the parameters of a rosparam element to its node, else to the global ones."""
-        command = self.text(element, "command", scope, "load")
-        if command != "load":
-            if command not in ("dump", "delete"):
-                mark = element.attributes["command"].mark
-                raise ImportFaultError(mark, ProblemCode.WORD, f"unknown command {command}", "write load")
-            self.launch.note(element.mark, f"rosparam {command} is not imported")
-            return
-        prefix = "/".join(
-            part for part in (self.text(element, "ns", scope), self.text(element, "param", scope)) if part
-        )
-        if "file" in element.attributes:
-            named = self.text(element, "file", scope)
-            if has_unknown_package(named, self.workspace):
-                self.load_on_host(element, scope, node, named, prefix)
-                return
-            path = self.find_file(element, "file", scope)
-            source = read_referred_file(path, self.workspace, element.attributes["file"].mark)
-            text, line = source.text, 1
-            file = source
-        else:
-            text, line, file = element.text, element.text_line, element.mark.source
-        if self.boolean(element, "subst_value", scope):
-            text = substitute_ros1(
-                text, element.mark, scope.arguments, scope.file, self.workspace, self.launch
-            )
-        values = read_parameter_text(
-            text, line, file, self.launch.problems, element.mark, is_named=bool(prefix)
-        )
-        flat = flatten_parameters(values, prefix)
-        if node is not None:
-            node.parameters |= flat
-            return
-        for name, value in flat.items():
-            self.launch.parameters[join_names(scope.namespace, name)] = value
-
-    def load_on_host(
-        self, element: Element, scope: _Scope, node: RosNode | None, file: str, prefix: str
-    ) -> None:
-        """Let the host read a file of a package that is not on this machine."""
-        if node is None or self.boolean(element, "subst_value", scope):
-            expand_packages(file, self.workspace, element.attributes["file"].mark)
-        elif node is not None:
-            node.parameter_files = (*node.parameter_files, (file, join_names(node.full_name, prefix)))
-
-    def drop_test(self, element: Element, _scope: _Scope) -> None:
+    def drop_test(self, element: Element, _scope: Ros1Scope) -> None:
         self.launch.note(element.mark, "test is not imported")

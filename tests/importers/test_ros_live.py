@@ -1,5 +1,6 @@
 """Running graphs become task files that edgectl accepts; whatever is not known is said."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -171,3 +172,20 @@ def test_nodes_of_a_second_host_are_found_there() -> None:
     assert [note.message for note in notes] == [
         "3 more nodes are left out: the graph is too large for one reply"
     ]
+
+
+def test_text_of_a_hostile_host_stays_text(tmp_path: Path) -> None:
+    """Whatever a host says of topics and command lines, the file has the tasks that it has."""
+    evil = "x\n  evil:\n    command: rm -rf /\n"
+    words = ("/opt/a'b", "': {", "}]", "# no", "{robot}", "(a+)+$", "\\")
+    tasks, _, _ = import_nodes(
+        a_node("/a", pid=1, words=words, publishes=(evil, "/y: [", "'")),
+        a_node("/b", pid=2, address=evil),
+        folder=tmp_path,
+    )
+    assert sorted(tasks.tasks) == ["a", "b"]
+    rule = tasks.tasks["a"].detect
+    assert rule is not None
+    assert rule.cmdline is not None
+    assert re.search(rule.cmdline, " ".join(words))
+    assert not re.search(rule.cmdline, " ".join((*words[:-1], "a")))

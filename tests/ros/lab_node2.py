@@ -4,6 +4,7 @@
 ``{NODE: [[TOPIC, ..], {PARAMETER: VALUE}]}``, once all are there.
 """
 
+import contextlib
 import json
 import os
 import sys
@@ -12,6 +13,7 @@ from typing import Any
 
 import rclpy  # type: ignore[import-not-found]
 from rcl_interfaces.srv import GetParameters, ListParameters  # type: ignore[import-not-found]
+from rclpy.node import NodeNameNonExistentError  # type: ignore[import-not-found]
 from rclpy.parameter import parameter_value_to_python  # type: ignore[import-not-found]
 from std_msgs.msg import String  # type: ignore[import-not-found]
 
@@ -45,6 +47,21 @@ def call(node: Any, kind: Any, name: str, deadline: float, **fields: object) -> 
     return future.result()
 
 
+def wait_for_topics(node: Any, short: str, namespace: str, deadline: float) -> "list[str]":
+    """To what a node subscribes, once two looks see the same; its services may be seen before itself."""
+    before: list[str] = []
+    while time.monotonic() < deadline:
+        heard = []
+        with contextlib.suppress(NodeNameNonExistentError):
+            heard = node.get_subscriber_names_and_types_by_node(short, namespace)
+        topics = sorted({topic for topic, _ in heard})
+        if topics and topics == before:
+            break
+        before = topics
+        time.sleep(0.3)
+    return before
+
+
 def ask(seconds: float, names: "list[str]") -> None:
     """Print what is known of each node."""
     deadline = time.monotonic() + seconds
@@ -55,10 +72,7 @@ def ask(seconds: float, names: "list[str]") -> None:
         namespace, _, short = name.rpartition("/")
         listed = call(node, ListParameters, f"{name}/list_parameters", deadline).result.names
         values = call(node, GetParameters, f"{name}/get_parameters", deadline, names=listed).values
-        topics: list[str] = []
-        while not topics and time.monotonic() < deadline:
-            heard = node.get_subscriber_names_and_types_by_node(short, namespace or "/")
-            topics = sorted({topic for topic, _ in heard})
+        topics = wait_for_topics(node, short, namespace or "/", deadline)
         read = [parameter_value_to_python(value) for value in values]
         plain = [value.tolist() if hasattr(value, "tolist") else value for value in read]
         found[name] = topics, dict(zip(listed, plain, strict=True))
