@@ -27,7 +27,7 @@ REQUESTS: dict[str, tuple[dict[str, Any], set[str], int]] = {
     "lease": ({"action": "renew", "lease": LEASE}, set(), 16),
     "stop": ({"task": "slam", "instance": None, "generation": None, "stop": None}, set(), 21),
     "wait": ({"task": "slam", "instance": "i1", "timeout_s": 0.0}, set(), 15),
-    "probe": ({"window_s": 0.0, "links": LINKS}, {"_socket", "_struct", "select", "errno"}, 32),
+    "probe": ({"window_s": 0.0, "links": LINKS}, {"_socket", "_struct", "select", "errno"}, 29),
     "start": (
         {
             "task": "done",

@@ -12,9 +12,8 @@ import time
 
 from ..link import fast_json, heartbeat
 from ..link.fast_json import Document
-from ..measure import counters, device, network, proc
+from ..measure import device, network, proc
 from ..measure.udp import UdpMeter
-from ..measure.wireless import RadioMeter
 from ..supervise import state_dir
 from . import pidfile, sample_ring
 from .process_tracker import ProcessTracker
@@ -22,6 +21,8 @@ from .process_tracker import ProcessTracker
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any, NoReturn
+
+    from ..measure.counters import CounterMeter
 
 _MAX_CPU_SHARE = 0.01
 _CHECK_S = 2.0
@@ -82,8 +83,8 @@ class ProfilerDaemon:
         self.peers = network.resolve_robots(self.peer_links)
         self.traffic = network.TrafficMeter(dict(self.addresses, **self.peers))
         self.udp = UdpMeter()
-        self.counted = counters.CounterMeter(state_dir.get_fleet() if self.links else "")
-        self.wireless = RadioMeter()
+        self.counted: "CounterMeter | None" = None
+        self.wireless = network.start_radio_meter()
         self.rates: "Document | None" = None
         self.number = 0
         self.cost, self.spent, self.begun, self.next_look = (
@@ -135,9 +136,9 @@ class ProfilerDaemon:
         before, self.totals = self.totals, network.read_interface_bytes()
         probes.close(self.addresses)
         udp = self.udp.find_sockets()
-        # A reading starts programs: it is as rare as keeps its cost a share of a core.
-        spacing_s = self.counted.cost_s / counters.CPU_SHARE
-        counted = self.counted.measure(self.addresses, self.slow["routes"], spacing_s)
+        counted = (
+            None if self.counted is None else self.counted.measure_rarely(self.addresses, self.slow["routes"])
+        )
         tasks, used = self.tasks.measure(flows, self.addresses, seconds, counted)
         links = network.build_links(
             self.addresses, flows, probes, self.traffic.seconds, self.slow["routes"], udp, counted
@@ -159,7 +160,7 @@ class ProfilerDaemon:
             partial_links={robot: link["partial"] for robot, link in links.items()},
             partial_tasks=self.tasks.describe_gaps(udp, self.addresses, counted),
             sources={robot: link["source"] for robot, link in links.items()},
-            counters=counted.state,
+            counters="" if counted is None else counted.state,
             peers=network.build_peers(self.peers, flows, self.traffic.seconds),
         )
         return {
@@ -187,10 +188,11 @@ class ProfilerDaemon:
         self.slow: Document = {
             "routes": network.find_interfaces(addresses),
             "speeds": {name: network.read_interface_speed(name) for name in network.read_interface_bytes()},
-            "wireless": self.wireless.measure(),
+            "wireless": {} if self.wireless is None else self.wireless.measure(),
             "temperature_c": device.read_temperature_c(),
             "gpu_share": device.read_gpu_share(),
         }
+        self.counted = self.counted or network.start_counter_meter(state_dir.get_fleet(), addresses)
         # Limits of the control group may have changed.
         self.cpu = device.CpuMeter()
         self.next_slow = time.monotonic() + _SLOW_S

@@ -9,8 +9,12 @@ import os
 import time
 
 from ..link.fast_json import Document
-from ..measure import counters, network, proc, task
+from ..measure import network, proc, task
 from ..supervise import state_dir
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from ..measure.counters import Rates
 
 SCAN_S = 5.0
 # Share of one core for scans of a long table.
@@ -31,7 +35,6 @@ class ProcessTracker:
         self.then: "dict[str, dict[int, float]]" = {}
         self.ticks: "dict[int, int]" = {}
         self.sockets: "dict[str, set[int]]" = {}
-        self.scopes: "dict[str, str]" = {}
         self.levels: "dict[str, tuple[int, int]]" = {}
         self.marks: "dict[str, tuple[int, ...]] | None" = None
         self.next_scan = 0.0
@@ -41,7 +44,7 @@ class ProcessTracker:
         flows: "list[network.Flow]",
         addresses: "dict[str, list[str]]",
         seconds: float,
-        counted: "counters.Rates",
+        counted: "Rates | None",
     ) -> "tuple[dict[str, Document], dict[str, int]]":
         """Measure (rates, bytes) by key of the run, of the living tasks."""
         table = self._read_table()
@@ -49,7 +52,7 @@ class ProcessTracker:
         used: "dict[str, int]" = {}
         for name, group in self.groups.items():
             rates[name] = task.compute_traffic(
-                self.sockets[name], flows, addresses, seconds, counted.get_group(self.scopes[name])
+                self.sockets[name], flows, addresses, seconds, self._find_group(name, counted)
             )
             rates[name]["used_cores"] = task.compute_cores(group, table, self.then.get(name, {}), seconds)
             base, rss = self.levels[name]
@@ -58,13 +61,16 @@ class ProcessTracker:
         return rates, used
 
     def describe_gaps(
-        self, udp: "dict[int, str]", addresses: "dict[str, list[str]]", counted: "counters.Rates"
+        self, udp: "dict[int, str]", addresses: "dict[str, list[str]]", counted: "Rates | None"
     ) -> "dict[str, str]":
         """Describe what of the traffic is not seen, by key of the run, of the tasks last measured."""
         return {
-            name: task.describe_gap(held, udp, addresses, counted, self.scopes[name])
+            name: task.describe_gap(held, udp, addresses, counted, self._find_group(name, counted))
             for name, held in self.sockets.items()
         }
+
+    def _find_group(self, name: str, counted: "Rates | None") -> "dict[str, Document] | None":
+        return None if counted is None else counted.find_group(self.groups[name].pids)
 
     def _read_table(self) -> "dict[int, proc.Process]":
         """Read the relevant processes: the known ones, or all together with their assignment to tasks."""
@@ -93,7 +99,6 @@ class ProcessTracker:
             if pid in table
         }
         self.sockets = {name: task.list_sockets(group.pids) for name, group in self.groups.items()}
-        self.scopes = {name: counters.find_scope(group.pids) for name, group in self.groups.items()}
         self.levels = {
             name: (task.read_task_memory(group, table), _sum_rss(group, table))
             for name, group in self.groups.items()

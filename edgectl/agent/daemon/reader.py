@@ -5,7 +5,7 @@ No sample window passes.
 
 from ..link import protocol
 from ..link.fast_json import Document
-from ..measure import counters, device, network, proc, task
+from ..measure import device, network, proc, task
 from ..measure.udp import find_sockets
 from ..supervise import state_dir, status
 from . import pidfile, process_tracker
@@ -146,7 +146,7 @@ def _measure_since_start(
     held = task.list_sockets(group.pids)
     return dict(
         task.compute_traffic(held, flows, addresses, seconds),
-        partial=task.describe_gap(held, find_sockets(busy=False), addresses, counters.Rates(), ""),
+        partial=task.describe_gap(held, find_sockets(busy=False), addresses),
         used_cores=task.compute_cores(group, table, {}, seconds),
         used_bytes=task.read_task_memory(group, table),
     )

@@ -183,6 +183,8 @@ SOURCE_TCP, SOURCE_COUNTERS = "tcp", "counters"
 # ``counters`` there and ``state`` in the reply to OP_COUNTERS: empty without an installation, this, or why
 # they cannot be read.
 COUNTERS_INSTALLED = "installed"
+# The rules of the counters of a fleet: this file says that there is an installation.
+COUNTERS_FILE = "/etc/edgectl/counters_%s.nft"
 
 # ``exit`` in the reply to OP_CHECK where the ROS graph was to be asked and nobody could be.
 UNKNOWN_EXIT = 2

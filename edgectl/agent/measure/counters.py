@@ -77,8 +77,12 @@ class Rates:
         found = list(addresses)
         return bool(found) and all(address in self.robots for address in found)
 
+    def find_group(self, pids: "set[int]") -> "dict[str, Document] | None":
+        """Find the rates of the task of these processes by address; None where it is not counted."""
+        return self.get_group(find_scope(pids)) if self.tasks else None
+
     def get_group(self, scope: str) -> "dict[str, Document] | None":
-        """Get the rates of the task in ``scope`` by address; None where it is not counted."""
+        """Get the rates of a control group by address; None where it is not counted."""
         return self.groups.get(scope, {}) if scope and self.tasks else None
 
 
@@ -249,7 +253,6 @@ class CounterMeter:
     """
 
     def __init__(self, fleet: str) -> None:
-        """``fleet``: whose counters; empty where there is nothing to count."""
         self.fleet = fleet
         self.before: "Reading | None" = None
         self.last = Rates()
@@ -258,7 +261,7 @@ class CounterMeter:
 
     def _read(self) -> "Reading | None":
         """Read the counters; None, with the reason in ``last``, where that is not possible."""
-        if not self.fleet or not is_installed(self.fleet):
+        if not is_installed(self.fleet):
             self.before, self.last = None, Rates()
             return None
         began = _read_children_cpu_s()
@@ -271,17 +274,18 @@ class CounterMeter:
         then, self.before = self.before, found
         return then
 
-    def measure(
-        self, addresses: "dict[str, list[str]]", interfaces: "dict[str, str | None]", spacing_s: float = 0.0
-    ) -> Rates:
-        """Measure; within ``spacing_s`` after the last reading, the rates of that one."""
-        young = self.before is not None and time.monotonic() - self.before.at < spacing_s
-        if young and self.last.robots:
-            return self.last
+    def measure(self, addresses: "dict[str, list[str]]", interfaces: "dict[str, str | None]") -> Rates:
+        """Measure."""
         then = self._read()
         if then is not None and self.before is not None:
             self.last = compute_rates(then, self.before, read_frame_sizes(addresses, interfaces))
         return self.last
+
+    def measure_rarely(self, addresses: "dict[str, list[str]]", interfaces: "dict[str, str | None]") -> Rates:
+        """Measure as often as keeps the programs at CPU_SHARE of a core; the last rates in between."""
+        spacing_s = self.cost_s / CPU_SHARE
+        young = self.before is not None and time.monotonic() - self.before.at < spacing_s
+        return self.last if young and self.last.robots else self.measure(addresses, interfaces)
 
 
 def _read_children_cpu_s() -> float:

@@ -5,10 +5,12 @@ The rules are in a table of the fleet alone and only count: no packet is changed
 Both sides load this file: the agent runs the scripts, the manager prints them for an operator. Pure.
 """
 
+import os
+
+from ..link import protocol
+
 # Where nft may be; sudo runs it by this path.
 NFT_PATHS = ("/usr/sbin/nft", "/sbin/nft", "/usr/bin/nft", "/usr/local/sbin/nft")
-# Where the installation keeps the rules.
-FOLDER = "/etc/edgectl"
 # Counters by direction and protocol; ``other`` is UDP and all else.
 TCP_IN, TCP_OUT, OTHER_IN, OTHER_OUT = "tcp_in", "tcp_out", "other_in", "other_out"
 NAMES = (TCP_IN, TCP_OUT, OTHER_IN, OTHER_OUT)
@@ -31,8 +33,8 @@ def get_table_name(fleet: str) -> str:
 
 
 def get_rules_file(fleet: str) -> str:
-    """Get the path of the rules; its presence says that there is an installation."""
-    return "%s/counters_%s.nft" % (FOLDER, fleet)
+    """Get the path of the rules."""
+    return protocol.COUNTERS_FILE % fleet
 
 
 def build_name(counter: str, address: str) -> str:
@@ -121,7 +123,7 @@ def build_install_script(fleet: str, addresses: "dict[str, list[str]]", nft: str
     lines = [
         "set -eu",
         "umask 022",
-        "mkdir -p %s" % FOLDER,
+        "mkdir -p %s" % os.path.dirname(path),
         _write_file(path + ".tasks", build_rules(fleet, addresses, tasks=True)),
         _write_file(path + ".new", build_rules(fleet, addresses, tasks=False)),
         # Older kernels and nft cannot count by control group.
@@ -179,5 +181,5 @@ def build_remove_script(fleet: str, nft: str, uid: int) -> str:
     if nft:
         # The first line makes the second one possible where the kernel has no such table.
         lines.append('printf "%%s\\n" "%s { }" "delete %s" | %s -f -' % (table, table, nft))
-    lines.append("rmdir %s 2>/dev/null || true" % FOLDER)
+    lines.append("rmdir %s 2>/dev/null || true" % os.path.dirname(path))
     return "\n".join(lines) + "\n"

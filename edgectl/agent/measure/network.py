@@ -29,7 +29,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Dict, List
 
-    from .counters import Rates
+    from .counters import CounterMeter, Rates
+    from .wireless import RadioMeter
 
     # Robot -> its addresses.
     Addresses = Dict[str, List[str]]
@@ -106,6 +107,24 @@ def read_flows_since_open(addresses: "Addresses") -> "list[Flow]":
     ``addresses`` as in ``TrafficMeter``.
     """
     return [_build_flow(each, None) for each in sockets.list_connections(_pack_addresses(addresses))]
+
+
+def start_counter_meter(fleet: str, addresses: "Addresses") -> "CounterMeter | None":
+    """Start the meter of the byte counters; None where there is no installation for the fleet."""
+    if not addresses or not os.path.exists(protocol.COUNTERS_FILE % fleet):
+        return None
+    from .counters import CounterMeter
+
+    return CounterMeter(fleet)
+
+
+def start_radio_meter() -> "RadioMeter | None":
+    """Start the meter of the radios; None where this host has none."""
+    if not radio.list_radios():
+        return None
+    from .wireless import RadioMeter
+
+    return RadioMeter()
 
 
 def _pack_addresses(addresses: "Addresses") -> "set[bytes]":
@@ -232,7 +251,7 @@ def build_links(
     seconds: float,
     interfaces: "dict[str, str | None]",
     udp: "dict[int, str]",
-    counted: "Rates",
+    counted: "Rates | None",
 ) -> "dict[str, Document]":
     """Build robot -> rates, round-trip time, interface, reachability, and what the link carries now.
 
@@ -249,7 +268,7 @@ def build_links(
             source=protocol.SOURCE_TCP,
             partial=protocol.UDP_UNSEEN if unseen.intersection(found) else "",
         )
-        if counted.covers(found):
+        if counted is not None and counted.covers(found):
             links[robot].update(_build_counted(links[robot], found, counted))
     return links
 

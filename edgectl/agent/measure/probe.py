@@ -9,10 +9,8 @@ from ..link import protocol
 from ..link.fast_json import Document
 from ..supervise import adoption, grants, other_tasks, state_dir, status
 from . import device, metrics, network, proc
-from .counters import CounterMeter
 from .task import TaskMeter
 from .udp import UdpMeter
-from .wireless import RadioMeter
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -106,9 +104,9 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
     peers = network.resolve_robots(request.get("peers", []))
     tasks = TaskMeter(request["host"], request.get("detect", []))
     checks = _RunningChecks(request["host"], request.get("checks", []), tasks.before)
-    counted = CounterMeter(state_dir.get_fleet() if addresses else "")
+    counted = network.start_counter_meter(state_dir.get_fleet(), addresses)
     traffic, totals = network.TrafficMeter(dict(addresses, **peers)), network.read_interface_bytes()
-    radios = RadioMeter()
+    radios = network.start_radio_meter()
     udp, cpu, started = UdpMeter(), device.CpuMeter(), time.monotonic()
     probes = network.ConnectProbes(addresses)
     probes.wait(max(started + window, time.monotonic() + _MIN_CONNECT_S))
@@ -117,10 +115,11 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
     flows, rates = traffic.flows(), network.compute_rates(totals, network.read_interface_bytes(), seconds)
     traffic.close()
     interfaces = network.find_interfaces(addresses)
-    datagrams, rates_counted = udp.find_sockets(), counted.measure(addresses, interfaces)
+    datagrams = udp.find_sockets()
+    rates_counted = None if counted is None else counted.measure(addresses, interfaces)
     measured = tasks.measure(flows, datagrams, addresses, seconds, rates_counted)
     probes.close(addresses)
-    wireless = radios.measure()
+    wireless = {} if radios is None else radios.measure()
     return {
         "psutil": device.find_psutil_folder() is not None,
         "window_s": round(seconds, 4),
@@ -135,7 +134,7 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
         "links": network.build_links(
             addresses, flows, probes, traffic.seconds, interfaces, datagrams, rates_counted
         ),
-        "counters": rates_counted.state,
+        "counters": "" if rates_counted is None else rates_counted.state,
         "peers": network.build_peers(peers, flows, traffic.seconds),
         "tasks": measured,
     }, checks

@@ -5,7 +5,7 @@ tasks.
 from ..link import protocol
 from ..link.fast_json import Document
 from ..supervise import liveness, lockfile, state_dir, status
-from . import counters, detection, proc, sockets
+from . import detection, proc, sockets
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -101,21 +101,19 @@ class TaskMeter:
         udp: "dict[int, str]",
         addresses: "dict[str, list[str]]",
         seconds: float,
-        counted: "Rates",
+        counted: "Rates | None" = None,
     ) -> "dict[str, Document]":
         """Measure: task -> entry with rates."""
         found = {}
         for table, name, group in self._find_groups():
             held = list_sockets(group.pids) if flows or udp else set()
-            scope = counters.find_scope(group.pids) if counted.tasks else ""
+            seen = None if counted is None else counted.find_group(group.pids)
             found[name] = dict(
                 group.entry,
                 used_cores=compute_cores(group, table, self.before.get(name, {}), seconds),
                 used_bytes=read_task_memory(group, table),
-                partial=describe_gap(held, udp, addresses, counted, scope),
-                **build_traffic_entry(
-                    compute_traffic(held, flows, addresses, seconds, counted.get_group(scope))
-                ),
+                partial=describe_gap(held, udp, addresses, counted, seen),
+                **build_traffic_entry(compute_traffic(held, flows, addresses, seconds, seen)),
             )
         return found
 
@@ -174,23 +172,22 @@ def describe_gap(
     held: "set[int]",
     udp: "dict[int, str]",
     addresses: "dict[str, list[str]]",
-    counted: "Rates",
-    scope: str,
+    counted: "Rates | None" = None,
+    group: "dict[str, Document] | None" = None,
 ) -> str:
     """Describe what of the traffic over the sockets ``held`` is not seen; empty where all is.
 
     ``udp`` as ``UdpMeter.find_sockets``: the sockets that are connected to a robot, or to nobody.
+    ``group``: what counters of the task's control group saw.
     """
     robots = {address for found in addresses.values() for address in found}
     ends = {udp[inode] for inode in held & udp.keys()} & {"", *robots}
-    unseen = robots - counted.robots.keys()
-    if not ends or (robots and not unseen and counted.get_group(scope) is not None):
+    if not ends:
         return ""
-    return (
-        protocol.UDP_UNSEEN
-        if not robots or (unseen if "" in ends else unseen & ends)
-        else protocol.UDP_BY_LINK
-    )
+    unseen = robots if counted is None else robots - counted.robots.keys()
+    if not robots or (unseen if "" in ends else unseen & ends):
+        return protocol.UDP_UNSEEN
+    return "" if group is not None else protocol.UDP_BY_LINK
 
 
 def compute_traffic(
