@@ -10,7 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from edgectl.executor.diff import diff_assignment
-from edgectl.model.assignment import Assignment, Reason, Verdict
+from edgectl.model.assignment import Assignment, Decision, RankedHost, Reason, Verdict
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.plan import Action
@@ -183,8 +183,18 @@ def check_limits(case: Case, found: Assignment) -> None:
         if decision.verdict is Verdict.PLACED:
             chosen = next(entry for entry in decision.ranking if entry.host == decision.host)
             values = (chosen.terms["cpu"], chosen.terms["memory"], chosen.terms["network"])
+            if decision.reason is Reason.RELIEF:
+                # Nothing fits anywhere: a running task moves only to where less is missing (ADR 62).
+                before = next(entry for entry in decision.ranking if entry.host == decision.previous_host)
+                assert least_free(chosen) > least_free(before)
+                continue
             assert chosen.feasible
             assert all(value is not None and value >= -1e-9 for value in values)
+
+
+def least_free(entry: RankedHost) -> float:
+    """The smallest term of a host's capacity; negative where the task exceeds it."""
+    return min(entry.terms[name] or 0.0 for name in ("cpu", "memory", "network"))
 
 
 def check_decisions_and_totals(case: Case, found: Assignment) -> None:
@@ -220,7 +230,10 @@ def check_stops(case: Case, found: Assignment) -> None:
         if task is not None and not task.managed:
             assert not step.action.changes
             assert not step.stop
-        if step.action is Action.STOP:
+        if step.action is Action.STOP and step.decision.reason is Reason.PREEMPTED:
+            assert task is not None
+            assert any(has_made_way(case, task, other) for other in found.decisions)
+        elif step.action is Action.STOP:
             assert step.task == "left"
         running = {
             host
@@ -234,6 +247,12 @@ def check_stops(case: Case, found: Assignment) -> None:
         ):
             goes = {*step.stop, step.decision.previous_host if step.action is Action.MOVE else None}
             assert running - goes <= {step.decision.host}
+
+
+def has_made_way(case: Case, task: Task, other: Decision) -> bool:
+    """Whether ``other`` may have taken the place of ``task``."""
+    newcomer = case.tasks.tasks[other.task]
+    return other.verdict is Verdict.PLACED and newcomer.priority > task.priority and newcomer.preempt
 
 
 def check_held_tasks(case: Case, found: Assignment) -> None:
