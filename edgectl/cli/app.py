@@ -165,11 +165,17 @@ def build_app(words: Sequence[str]) -> typer.Typer:
     completing = "_EDGECTL_COMPLETE" in os.environ
     named = [word for word in words if not word.startswith("-")]
     wanted = " ".join(named[: 2 if named and named[0] in GROUP_HELP else 1])
-    return build_app_with_commands(list(COMMANDS) if completing else [wanted], completing=completing)
+    # After an option of the application its help may follow, which lists all commands.
+    alone = wanted in COMMANDS and words[0] == named[0] and not completing
+    return build_app_with_commands(
+        list(COMMANDS) if completing else [wanted], completing=completing, alone=alone
+    )
 
 
-def build_app_with_commands(wanted: Sequence[str], *, completing: bool = False) -> typer.Typer:
-    """The application with the options of the commands in ``wanted``."""
+def build_app_with_commands(
+    wanted: Sequence[str], *, completing: bool = False, alone: bool = False
+) -> typer.Typer:
+    """The application with the options of the commands in ``wanted``; ``alone``: without all others."""
     app = typer.Typer(
         cls=SectionedHelpGroup,
         add_completion=completing,
@@ -180,8 +186,13 @@ def build_app_with_commands(wanted: Sequence[str], *, completing: bool = False) 
         pretty_exceptions_enable=False,
     )
     app.callback(help=SUMMARY)(_root_callback)
-    groups = {name: _add_command_group(app, name, text) for name, text in GROUP_HELP.items()}
-    for name, entry in COMMANDS.items():
+    names = wanted if alone else COMMANDS
+    shown_groups = {name.partition(" ")[0] for name in names}
+    groups = {
+        name: _add_command_group(app, name, text) for name, text in GROUP_HELP.items() if name in shown_groups
+    }
+    for name in names:
+        entry = COMMANDS[name]
         first, _, second = name.partition(" ")
         place = groups.get(first, app)
         if name in wanted:

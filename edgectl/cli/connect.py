@@ -3,13 +3,16 @@
 import contextlib
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from edgectl.cli import console
 from edgectl.cli.user_files import LoadedInputs, refuse_exposed_files
 from edgectl.errors import StateError, UsageError
-from edgectl.model.diagnosis import Disk
 from edgectl.units import QuantityError, parse_duration
 from edgectl.usecases.fleet import Fleet
+
+if TYPE_CHECKING:
+    from edgectl.model.diagnosis import Disk
 
 
 def build_fleet(loaded: LoadedInputs, *, accept_new: bool = False, asking: bool = True) -> Fleet:
@@ -45,7 +48,7 @@ def _build_fleet_with_state(
     )
 
 
-def build_fleet_with_state_check(loaded: LoadedInputs) -> tuple[Fleet, Disk]:
+def build_fleet_with_state_check(loaded: LoadedInputs) -> "tuple[Fleet, Disk]":
     """The fleet, even if its state directory is unusable, and the condition of that directory."""
     from edgectl.state.state_dir_check import inspect_state_dir
 

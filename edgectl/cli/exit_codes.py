@@ -5,9 +5,6 @@ from typing import TYPE_CHECKING
 
 from edgectl.errors import ExitCode
 from edgectl.model.assignment import Reason
-from edgectl.model.byte_counters import ByteCounters
-from edgectl.model.cycle import Cycle
-from edgectl.model.diagnosis import Diagnosis, Severity
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action, Plan
 from edgectl.model.profiler import Profiler, ProfilerState
@@ -17,6 +14,9 @@ from edgectl.rules.lost_places import list_lost_tasks
 from edgectl.rules.other_managers import list_tasks_on_unlisted_hosts
 
 if TYPE_CHECKING:
+    from edgectl.model.byte_counters import ByteCounters
+    from edgectl.model.cycle import Cycle
+    from edgectl.model.diagnosis import Diagnosis
     from edgectl.usecases.plan_execution import ApplyResult
 
 _MILDER_CODES = (ExitCode.DONE, ExitCode.CHANGES, ExitCode.UNPLACED)
@@ -36,7 +36,7 @@ def _has_misplaced_tasks(snapshot: Snapshot) -> bool:
     return bool(find_doubled_tasks(snapshot) or list_lost_tasks(snapshot))
 
 
-def of_counters(counters: Iterable[ByteCounters]) -> ExitCode:
+def of_counters(counters: "Iterable[ByteCounters]") -> ExitCode:
     """4 if a host did not do what was asked, or has counters that cannot be read."""
     failed = any(each.error or (each.state and not each.installed) for each in counters)
     return ExitCode.PARTLY if failed else ExitCode.DONE
@@ -116,7 +116,7 @@ def of_status(
     return of_snapshot(snapshot, inventory, allow_unreachable=allow_unreachable)
 
 
-def of_cycle(cycle: Cycle) -> ExitCode:
+def of_cycle(cycle: "Cycle") -> ExitCode:
     """1 if the cycle failed, 75 if the lock was busy, 4 if an action failed, a host did not answer, a task
     runs twice or may run on a host that the inventory lacks, or a wanted task is given up.
     """
@@ -132,6 +132,8 @@ def of_cycle(cycle: Cycle) -> ExitCode:
     return code if cycle.plan is None else worsen_if_given_up(code, cycle.plan)
 
 
-def of_diagnosis(diagnosis: Diagnosis) -> ExitCode:
+def of_diagnosis(diagnosis: "Diagnosis") -> ExitCode:
     """1 if a check failed."""
+    from edgectl.model.diagnosis import Severity
+
     return ExitCode.FAILED if diagnosis.worst is Severity.FAILED else ExitCode.DONE

@@ -9,10 +9,8 @@ import json
 import shlex
 import sys
 from collections.abc import Iterator, Mapping
-from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote, urlsplit
 
 from edgectl.errors import UsageError
 
@@ -41,6 +39,8 @@ def require_extra(name: str) -> Iterator[None]:
 
 def _read_origin() -> Mapping[str, Any] | None:
     """``direct_url.json`` of the installation; of the clone if it is not installed; None from an index."""
+    from importlib.metadata import PackageNotFoundError, distribution
+
     try:
         text = distribution(DISTRIBUTION).read_text("direct_url.json")
     except PackageNotFoundError:
@@ -67,6 +67,8 @@ def build_install_command(extra: str, origin: Mapping[str, Any] | None, prefix: 
 
 def _build_requirement(extra: str, origin: Mapping[str, Any] | None) -> str:
     """A directory with the extra, or the name with the extra and the URL."""
+    from urllib.parse import unquote, urlsplit
+
     if origin is None:
         return f"{DISTRIBUTION}[{extra}]"
     url = str(origin["url"])

@@ -2,11 +2,12 @@
 
 import ipaddress
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Annotated, TypeVar
 
 from edgectl.agent.link import protocol
 from edgectl.agent.measure import counters_rules
+from edgectl.dataclass import dataclass
 from edgectl.errors import HostError, ReplyError
 from edgectl.gateway.fanout import MAX_PARALLEL_HOSTS, HostReply, ask_all
 from edgectl.gateway.host_probe import resolve_addresses

@@ -6,7 +6,7 @@ has its default. In collections of tasks, links and the like, an entry that does
 """
 
 from collections.abc import Mapping
-from dataclasses import field, make_dataclass
+from dataclasses import field
 from typing import Annotated, Any, TypeVar
 
 from edgectl.dataclass import dataclass
@@ -56,6 +56,13 @@ def decode_reply(kind: type[Reply], document: object, where: str = "") -> Reply:
         message = f"{where}.{faults[0]}" if where else str(faults[0])
         raise ReplyError(escape_unprintable(message[:_MAX_MESSAGE]))
     return reply
+
+
+def _make_usage(name: str, kinds: Mapping[str, object], default: float | None = None) -> type[Any]:
+    """A dataclass with a field of each kind by name, all with the ``default``, if any."""
+    values = {} if default is None else dict.fromkeys(kinds, default)
+    made = type(name, (), {"__module__": __name__, "__annotations__": kinds, **values})
+    return dataclass(frozen=True, slots=True, kw_only=True)(made)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -181,27 +188,14 @@ class ProbeReply:
 
 # Usage of a task and of a profiler, capacity and usage of each resource of a device, under the keys of the
 # table.
-TASK_USAGE: type[Any] = make_dataclass(
-    "TaskUsage",
-    [(resource.used_key, Amount, field(default=0.0)) for resource in HOST_RESOURCES],
-    frozen=True,
-    kw_only=True,
+TASK_USAGE = _make_usage("TaskUsage", {resource.used_key: Amount for resource in HOST_RESOURCES}, default=0.0)
+PROFILER_USAGE = _make_usage(
+    "ProfilerUsage", {resource.used_key: Amount for resource in MEASURED_HOST_RESOURCES}
 )
-PROFILER_USAGE: type[Any] = make_dataclass(
-    "ProfilerUsage",
-    [(resource.used_key, Amount) for resource in MEASURED_HOST_RESOURCES],
-    frozen=True,
-    kw_only=True,
-)
-DEVICE_USAGE: Mapping[str, type[Any]] = {
-    resource.name: make_dataclass(
-        "DeviceUsage",
-        [(resource.used_key, Amount, field(default=0.0))]
-        if resource.declared_only
-        else [(resource.capacity_key, Capacity), (resource.used_key, Amount)],
-        frozen=True,
-        kw_only=True,
-    )
+DEVICE_USAGE = {
+    resource.name: _make_usage("DeviceUsage", {resource.used_key: Amount}, default=0.0)
+    if resource.declared_only
+    else _make_usage("DeviceUsage", {resource.capacity_key: Capacity, resource.used_key: Amount})
     for resource in HOST_RESOURCES
 }
 

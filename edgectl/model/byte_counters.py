@@ -1,8 +1,9 @@
 """Byte counters of a host for the addresses of the robots, as the host reports them (ADR 104)."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from edgectl.dataclass import dataclass
 from edgectl.model.snapshot import COUNTERS_INSTALLED
 
 

@@ -6,9 +6,9 @@ All figures are shares of the capacity.
 from collections.abc import Sequence
 from itertools import pairwise
 from math import sqrt
-from statistics import NormalDist, median
 
 from edgectl.model.resource import Resource
+from edgectl.rules.median import compute_median
 
 # Too little CPU or network makes a task slower; too little memory ends it.
 COMPRESSIBLE_SLACK, MEMORY_SLACK = 0.05, 0.02
@@ -16,8 +16,9 @@ COMPRESSIBLE_SLACK, MEMORY_SLACK = 0.05, 0.02
 NOISE_FACTOR, MOST_FACTOR = 2.0, 3.0
 # The newest readings by which noise is measured, and the least number that counts.
 MAX_READINGS, MIN_READINGS = 60, 10
-# Of the difference of two readings with a standard deviation of 1: the median of its amount.
-_MEDIAN_DIFFERENCE = sqrt(2.0) * NormalDist().inv_cdf(0.75)
+# Of the difference of two readings with a standard deviation of 1: the median of its amount. The second
+# factor is the third quartile, statistics.NormalDist().inv_cdf(0.75).
+_MEDIAN_DIFFERENCE = sqrt(2.0) * 0.6744897501960817
 
 
 def estimate_noise(readings: Sequence[float]) -> float:
@@ -27,7 +28,8 @@ def estimate_noise(readings: Sequence[float]) -> float:
     """
     if len(readings) < MIN_READINGS:
         return 0.0
-    return median(abs(after - before) for before, after in pairwise(readings)) / _MEDIAN_DIFFERENCE
+    differences = [abs(after - before) for before, after in pairwise(readings)]
+    return compute_median(differences) / _MEDIAN_DIFFERENCE
 
 
 def compute_slack(resource: Resource, noise: float = 0.0) -> float:

@@ -1,12 +1,13 @@
 """Measured cost of a move (ADR 0018): the gain over the expected stay against the downtime and its price."""
 
 from collections.abc import Mapping, Sequence
-from statistics import fmean, median
+from math import fsum
 
 from edgectl.dataclass import dataclass
 from edgectl.model.assignment import MoveCost
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.task import Task
+from edgectl.rules.median import compute_median
 
 # So many downtimes of one task on one host make a figure.
 MIN_DOWNTIME_SAMPLES = 5
@@ -31,7 +32,7 @@ def collect_handoff_history(manager: ManagerState) -> HandoffHistory:
     downtimes: dict[str, dict[str, float]] = {}
     for (task, host), seconds in manager.downtimes.items():
         if len(seconds) >= MIN_DOWNTIME_SAMPLES:
-            downtimes.setdefault(task, {})[host] = median(seconds)
+            downtimes.setdefault(task, {})[host] = compute_median(seconds)
     return HandoffHistory(downtimes=downtimes, stays=manager.stays)
 
 
@@ -58,5 +59,5 @@ def estimate_stay(stays: Sequence[float], here_s: float | None) -> float:
     """Seconds that a task is likely to stay after a move: the mean of its past stays, else as long as it has
     been where it is.
     """
-    guess = fmean(stays) if stays else here_s or 0.0
+    guess = fsum(stays) / len(stays) if stays else here_s or 0.0
     return min(max(guess, STAY_FLOOR_S), STAY_CAP_S)

@@ -2,7 +2,7 @@
 
 import secrets
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from edgectl.config.expansion import expand_templates
 from edgectl.config.inventory_file import read_inventory
@@ -10,6 +10,7 @@ from edgectl.config.problems import Problems
 from edgectl.config.source import decode_source
 from edgectl.config.task_file import TaskTemplate, merge_policy, read_templates
 from edgectl.config.yaml_parser import parse_yaml
+from edgectl.dataclass import dataclass
 from edgectl.errors import Problem
 
 
