@@ -420,6 +420,7 @@ def _empty_pool(packing: Packing, item: Item, movable: Collection[str]) -> bool:
         penalties[current.name] = penalties.get(current.name, 1) + 1
         found = _find_ejection(packing, current, movable, penalties)
         if found is None:
+            pool.append(current)
             break
         place, ejected = found
         for other in ejected:

@@ -245,3 +245,14 @@ def test_a_chain_of_tasks_makes_room_within_few_looks(work: int, found: bool) ->
     moved = {name: place for name, place in packing.at.items() if before.get(name) != place}
     assert moved == ({"a": 1, "b": 2, "c": 3, "big": 0} if found else {})
     assert all(row[0] >= 0.0 for row in packing.free)
+
+
+def test_a_task_at_an_overloaded_place_is_not_dropped_for_another() -> None:
+    # Left is above what the place has, where relief of an overload has put it; new is not heavier than what is
+    # free without left, and left fits nowhere any more.
+    left, new = an_item("left", 1.25, 0), an_item("new", 0.5, 0)
+    packing = Packing(free=[[1.0]], items={}, at={}, home={}, on=[[]], work=10_000)
+    packing.put(left, 0)
+    assert not place_item(packing, new)
+    assert packing.at == {"left": 0}
+    assert packing.free == [[-0.25]]
