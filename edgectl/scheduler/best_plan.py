@@ -4,12 +4,14 @@ Pure: the solver is given.
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
+from functools import partial
+from math import inf
 
 from edgectl.model.assignment import Certificate, Decision, Reason, Verdict
 from edgectl.scheduler.choice import Choice
 from edgectl.scheduler.decided_plan import DecidedPlan, choose_places, list_wanted, rebalance_plan
 from edgectl.scheduler.integer_program import Solver
-from edgectl.scheduler.optimum import certify, find_optimum, value_plan
+from edgectl.scheduler.optimum import build_problem, certify, find_optimum, value_plan
 from edgectl.scheduler.settle import (
     GroupedPlan,
     SettledPlan,
@@ -20,6 +22,10 @@ from edgectl.scheduler.settle import (
     withhold_tasks,
 )
 from edgectl.scheduler.single_pass import PlacementPass
+from edgectl.scheduler.stability_rows import list_departures
+
+# Plans that more tasks leave by themselves are not settled before the solver has looked for another one.
+MAX_DEPARTING = 3
 
 
 def find_best_plan(
@@ -33,13 +39,32 @@ def find_best_plan(
     before = build_decided_plan(known.how, known.found)
     wanted = {task.name for task in list_wanted(origin)}
     left_out = _list_hopeless_members(origin, wanted)
-    optimum = find_optimum(origin, before, solve, left_out)
+    everything = {name: place for name, (place, _) in before.placed.items()}
+    problem = build_problem(origin, everything, left_out)
+    best = known.found
+    value = value_plan(before, origin)
+
+    def take(how: PlacementPass, places: Mapping[str, int]) -> None:
+        nonlocal best, value
+        other = take_better(how, origin, known.found, choose_places(before, places))
+        reached = value_plan(build_decided_plan(how, other), origin)
+        if reached.is_better_than(value) and not find_incomplete_groups(how, other):
+            best, value = other, reached
+
+    def settle(places: Mapping[str, int], target: int) -> float:
+        how = withhold_tasks(whole, _withhold_unplaced_groups(whole, known, places))
+        for change in (dict, partial(_improve_newcomers, how, known.found, before)):
+            changed = change(places)
+            if len({departure.item.name for departure in list_departures(problem, changed)}) <= MAX_DEPARTING:
+                take(how, changed)
+            reached = value.moves if sum(value.placed) >= len(places) else inf
+            if reached <= target:
+                break
+        return reached
+
+    optimum = find_optimum(problem, everything, solve, settle)
     how = withhold_tasks(whole, _withhold_unplaced_groups(whole, known, optimum.places))
-    places = _improve_newcomers(how, known.found, before, optimum.places)
-    best = take_better(how, origin, known.found, choose_places(before, places))
-    if best is not known.found and find_incomplete_groups(how, best):
-        best = known.found
-    value = value_plan(build_decided_plan(how, best), origin)
+    take(how, _improve_newcomers(how, known.found, before, optimum.places))
     return best, certify(value, len(origin.placed.keys() | wanted - left_out), optimum, len(left_out))
 
 

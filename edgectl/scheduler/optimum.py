@@ -9,12 +9,13 @@ from math import ceil, inf
 
 from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Certificate
+from edgectl.model.policy import Preference
 from edgectl.model.task import Task
 from edgectl.scheduler.decided_plan import DecidedPlan, build_search, rate_plan
 from edgectl.scheduler.integer_program import IntegerProgram, Solution, Solver
 from edgectl.scheduler.ledger import NO_FREE_SHARE
 from edgectl.scheduler.move_cost import HandoffHistory
-from edgectl.scheduler.packing import Packing, Shares
+from edgectl.scheduler.packing import Item, Packing, Shares
 from edgectl.scheduler.placement_model import (
     bound_alone,
     build_model,
@@ -24,9 +25,14 @@ from edgectl.scheduler.placement_model import (
     sum_utilities,
 )
 from edgectl.scheduler.placement_problem import PlacementItem, PlacementModel, PlacementProblem, Requirements
-from edgectl.scheduler.placement_rules import list_breaches
+from edgectl.scheduler.placement_rules import NO_RULES, list_breaches
 from edgectl.scheduler.slack_links import drop_slack_links
+from edgectl.scheduler.stability_rows import Departure, add_stability_rows, list_departures
 from edgectl.scheduler.utility import EPSILON
+
+# Settles a plan with these places; returns the moves of the best plan that was settled with as many tasks. It
+# need not look for fewer than the given number.
+Settler = Callable[[Mapping[str, int], int], float]
 
 # Differences of a sum of utilities below this are rounding.
 TOLERANCE = 1e-6
@@ -107,17 +113,15 @@ def _find_fixed_places(plan: DecidedPlan) -> dict[str, int]:
 
 
 def find_optimum(
-    plain: DecidedPlan, known: DecidedPlan, solve: Solver, left_out: Collection[str] = ()
+    problem: PlacementProblem, known: Mapping[str, int], solve: Solver, settle: Settler
 ) -> Optimum:
     """The best places by all three levels, as far as the solver has the time.
 
-    ``plain``: the settled plan without repair, from which moves are counted. ``known``: the best plan so far.
-    ``left_out``: tasks that must have no place.
+    ``known``: the places of the best plan so far, also of tasks that are no items.
     """
-    everything = {name: place for name, (place, _) in known.placed.items()}
-    problem = build_problem(plain, everything, left_out)
     names = {item.name for item in problem.items}
-    places = {name: place for name, place in everything.items() if name in names}
+    places = {name: place for name, place in known.items() if name in names}
+    others = {name: place for name, place in known.items() if name not in names}
     late: list[bool] = []
 
     def solve_level(program: IntegerProgram, share: float) -> Solution:
@@ -127,13 +131,18 @@ def find_optimum(
 
     places, placed = _place_by_priority(problem, places, solve_level)
     reached = {priority: low for priority, (low, _) in placed.items()}
-    places, moves, least = _reduce_moves(problem, places, Requirements(placed=reached), solve_level)
+    places, moves, least = _reduce_moves(
+        problem,
+        places,
+        Requirements(placed=reached),
+        solve_level,
+        lambda found, target: settle({**others, **found}, target),
+    )
     required = Requirements(placed=reached, most_moves=moves)
     places, utility = _raise_utility(problem, places, required, solve_level)
     most = sum(high for _, high in placed.values())
-    places |= {name: place for name, place in everything.items() if name not in names}
     bounds = Bounds(placed=most, moves=least, utility=utility, most_moves=moves)
-    return Optimum(places=places, bounds=bounds, timed_out=any(late))
+    return Optimum(places=places | others, bounds=bounds, timed_out=any(late))
 
 
 def certify(found: PlanValue, wanted: int, optimum: Optimum, withheld: int) -> Certificate:
@@ -193,6 +202,7 @@ def build_problem(
         fixed=_find_fixed_places(plain),
         known=(packing.at, places),
         runs=plain.initial.running.keys(),
+        move_margin=plain.context.policy.move_margin,
     )
 
 
@@ -229,7 +239,31 @@ def _build_item(
         needs=[need.task for need in task.needs if need.task in packing.items],
         near=[need.task for need in task.needs],
         links=links[task.name],
+        voluntary=_list_voluntary_places(plain, task, item, shares, home),
     )
+
+
+def _list_voluntary_places(
+    plain: DecidedPlan, task: Task, item: Item, shares: Mapping[int, Shares], home: int | None
+) -> frozenset[int]:
+    """The edges for which a running task is certain to leave its home where that gains more than the margin.
+
+    None where anything else may hold it: measured costs of moves, dwell, ``max_moves``, rules between tasks;
+    nor where a sum of loads does not say its gain: with predecessors, several links, or ``prefer: pack``.
+    """
+    context = plain.context
+    edges = context.fleet.edges
+    if home is None or home >= edges or not item.movable:
+        return frozenset()
+    if plain.initial.frozen or plain.moves_left is not None or context.placement_rules is not NO_RULES:
+        return frozenset()
+    known_links = all(robot in plain.ledger.free_links for robot in task.robots)
+    packs = context.policy.prefer is Preference.PACK
+    if packs or task.needs or len(task.robots) > 1 or not known_links:
+        return frozenset()
+    if task.name in context.handoffs.downtimes:
+        return frozenset()
+    return frozenset(place for place in item.places if place in shares and place < edges and place != home)
 
 
 def _fits_alone(shares: Shares, limits: Sequence[float]) -> bool:
@@ -271,31 +305,47 @@ def _solve_first_level(
     set_objective: Callable[[PlacementModel], None],
     places: Mapping[str, int],
     solve: Solver,
+    departures: Collection[Departure] = (),
 ) -> tuple[PlacementModel, Solution]:
     """The program of level 1 or 2, as small as it gets (ADR 93), and its solution, begun from ``places``."""
     model = build_model(drop_slack_links(problem), required)
     set_objective(model)
+    add_stability_rows(model, problem, departures)
     count_arrivals_apart(model)
     model.start_from(places)
     return model, solve(model.program, _FIRST_SHARE)
 
 
 def _reduce_moves(
-    problem: PlacementProblem, places: dict[str, int], required: Requirements, solve: Solver
+    problem: PlacementProblem,
+    known: dict[str, int],
+    required: Requirements,
+    solve: Solver,
+    settle: Settler,
 ) -> tuple[dict[str, int], int, int]:
-    """Level 2: the places, their moves, and how many moves are needed at least."""
-    moves = _count_moves(problem, places)
-    if moves == 0:
-        return places, 0, 0
-    model, solution = _solve_first_level(problem, required, count_moves, places, solve)
-    least = 0
-    if abs(solution.bound) < inf:
-        least = max(0, ceil(-(solution.bound + model.constant) - 0.5 - TOLERANCE))
-    if solution.values is not None:
-        other = model.read_places(solution.values)
-        if _count_moves(problem, other) <= moves:
-            places, moves = other, _count_moves(problem, other)
-    return places, moves, min(least, moves)
+    """Level 2: the places, their moves, and how many moves are needed at least.
+
+    Solved again with rows against those that leave by themselves, until a plan stands (ADR 102).
+    """
+    places, most, least = known, _count_moves(problem, known), 0
+    departures: dict[tuple[str, int], Departure] = {}
+    while most > least:
+        model, solution = _solve_first_level(
+            problem, required, count_moves, known, solve, departures.values()
+        )
+        if abs(solution.bound) < inf:
+            least = max(least, ceil(-(solution.bound + model.constant) - 0.5 - TOLERANCE))
+        other = None if solution.values is None else model.read_places(solution.values)
+        if other is None or _count_moves(problem, other) > most:
+            break
+        places = other
+        if settle(other, least) <= least or solution.timed_out:
+            break
+        fresh = {(each.item.name, each.place): each for each in list_departures(problem, other)}
+        if fresh.keys() <= departures.keys():
+            break
+        departures |= fresh
+    return places, max(_count_moves(problem, places), least), least
 
 
 def _count_moves(problem: PlacementProblem, places: Mapping[str, int]) -> int:

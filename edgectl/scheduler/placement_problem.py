@@ -24,7 +24,8 @@ class PlacementItem:
     ``shares``: of capacity by column, for each place that may take it. ``home``: where it runs unless it
     makes room; None: this plan starts it, so it may be left unplaced. ``move_cost``: of leaving the home,
     0..1, between plans of equally many moves. ``needs``: tasks that must be placed with it. ``near``: its
-    predecessors, for the affinity. ``links``: columns of its links.
+    predecessors, for the affinity. ``links``: columns of its links. ``voluntary``: edges for which it leaves
+    its home by itself where its total there is greater by more than the margin.
     """
 
     name: str
@@ -35,6 +36,7 @@ class PlacementItem:
     needs: Sequence[str] = ()
     near: Sequence[str] = ()
     links: Sequence[int] = ()
+    voluntary: Collection[int] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,6 +48,8 @@ class PlacementProblem:
 
     ``rules``: between tasks, with ``fixed``, the places of what is no item but counts for them; ``known``,
     plans that may break them; ``runs``, tasks that run before the plan, with a place in it or not.
+
+    ``move_margin``: gain above which tasks move by themselves.
     """
 
     items: Sequence[PlacementItem]
@@ -59,6 +63,7 @@ class PlacementProblem:
     fixed: Mapping[str, int] = field(default_factory=dict)
     known: Sequence[Mapping[str, int]] = ()
     runs: Collection[str] = ()
+    move_margin: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,7 +99,8 @@ class PlacementModel:
     """A program, and what its variables mean.
 
     ``stays``: variables that count tasks at their homes, with the cost of a move. ``apart``: of variables of
-    kinds that leave out the tasks at home, the variable that counts those.
+    kinds that leave out the tasks at home, the variable that counts those. ``exact``: a task that does not
+    stay has left its home, even if one of its kind has come there.
     """
 
     problem: PlacementProblem
@@ -103,22 +109,28 @@ class PlacementModel:
     stays: dict[int, float] = field(default_factory=dict)
     apart: dict[int, int] = field(default_factory=dict)
     constant: float = 0.0
+    exact: bool = False
 
     def read_places(self, values: Sequence[float]) -> dict[str, int]:
         """The place of each placed task in a solution; tasks stay at their homes where they may."""
         places: dict[str, int] = {}
         for kind in self.kinds:
             room = {place: round(self._read_count(values, variable)) for place, variable in kind.at.items()}
+            staying = room.copy()
+            if self.exact:
+                staying |= {place: round(values[stay]) for place, stay in kind.stays.items()}
             away = []
             for item in kind.members:
-                if item.home is not None and room.get(item.home, 0) > 0:
+                if item.home is not None and staying.get(item.home, 0) > 0:
                     places[item.name] = item.home
                     room[item.home] -= 1
+                    staying[item.home] -= 1
                 else:
                     away.append(item)
             slots = [place for place, count in room.items() for _ in range(count)]
             away.sort(key=lambda item: item.home is None)  # those that run must have a place
-            places |= {item.name: place for item, place in zip(away, slots, strict=False)}
+            for item in away[: len(slots)]:
+                places[item.name] = slots.pop(next((n for n, p in enumerate(slots) if p != item.home), 0))
         return places
 
     def _read_count(self, values: Sequence[float], variable: int) -> float:
