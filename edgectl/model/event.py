@@ -11,6 +11,7 @@ class EventKind(StrEnum):
     HOST_BACK = "host-back"
     HOST_REBOOTED = "host-rebooted"
     LINK_DOWN = "link-down"
+    LINK_BACK = "link-back"
     TASK_STARTED = "task-started"
     TASK_STOPPED = "task-stopped"
     TASK_MOVED = "task-moved"

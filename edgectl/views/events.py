@@ -16,6 +16,7 @@ _EVENT_STYLES = {
     EventKind.HOST_BACK: "good",
     EventKind.HOST_REBOOTED: "warn",
     EventKind.LINK_DOWN: "bad",
+    EventKind.LINK_BACK: "good",
     EventKind.TASK_STARTED: "good",
     EventKind.TASK_READY: "good",
     EventKind.TASK_COMPLETED: "good",
