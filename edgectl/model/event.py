@@ -23,6 +23,7 @@ class EventKind(StrEnum):
     TASK_CRASHLOOP = "task-crashloop"
     TASK_UNHEALTHY = "task-unhealthy"
     TASK_LOST = "task-lost"
+    NODES_REMOVED = "nodes-removed"
     TASK_DEFERRED = "task-deferred"
     TASK_UNPLACED = "task-unplaced"
     TASK_OVERUSE = "task-overuse"

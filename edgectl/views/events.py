@@ -26,6 +26,7 @@ _EVENT_STYLES = {
     EventKind.TASK_CRASHLOOP: "bad",
     EventKind.TASK_UNHEALTHY: "bad",
     EventKind.TASK_LOST: "bad",
+    EventKind.NODES_REMOVED: "good",
     EventKind.TASK_DEFERRED: "warn",
     EventKind.TASK_UNPLACED: "warn",
     EventKind.TASK_OVERUSE: "warn",
