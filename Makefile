@@ -1,5 +1,5 @@
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: ros throughput quality demo experiment test test-fast check style setup audit bench faults fuzz soak clean
+.PHONY: ros ros-whole throughput quality demo experiment test test-fast check style setup audit bench faults fuzz soak clean
 PY := .venv/bin/python
 export PYTHON
 
@@ -41,7 +41,15 @@ test-fast: setup
 # make ros LAUNCH=all imports and runs all launch files of the tests, not two of them: five minutes more.
 ros: setup
 	@.ci/need-ros
-	@PATH="$$PATH:/usr/sbin:/sbin" ROS_LAUNCH=$(LAUNCH) $(PY) -m tests.suite tests/ros
+	@.ci/need-faults
+	@PATH="$$PATH:/usr/sbin:/sbin" ROS_LAUNCH=$(LAUNCH) $(PY) -m tests.suite tests/ros -n 2 --dist loadfile --no-loadscope-reorder
+
+# Fifty stops of nodes that do not end as they should, of ROS 1 and of ROS 2; half an hour. Then the table of moves in docs/ros.md.
+ros-whole: setup
+	@.ci/need-ros
+	@.ci/need-faults
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite --whole tests/ros/test_stops.py
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.ros.moves
 
 # Byte counters against interfaces for ten mixes of TCP, Fast DDS and Cyclone DDS: the table of docs/performance.md. Some minutes.
 throughput: setup

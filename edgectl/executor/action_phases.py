@@ -24,6 +24,8 @@ DEFAULT_READY_S = 10.0
 COMPLETION_S = 30.0
 # The grace of a task that left the task files, whose own grace is unknown here.
 _UNKNOWN_GRACE_S = 40.0
+# Looks at a ROS 1 master before and after a stop; the leases of killed nodes of ROS 2 end after 20 s.
+_GRAPH_S, _LEASE_S = 10.0, 25.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,8 +89,10 @@ def build_stop_phases(step: Step, inventory: Inventory, tasks: Tasks) -> Planned
         HostError: a host left the inventory.
     """
     task = tasks.tasks.get(step.task)
+    # Where the task runs on elsewhere, its names stay.
+    lease_s = _LEASE_S if step.action in (Action.STOP, Action.COMPLETE) else 0.0
     return tuple(
-        build_stop_phase(step.task, task, host, inventory, instance=step.instances.get(host))
+        build_stop_phase(step.task, task, host, inventory, instance=step.instances.get(host), lease_s=lease_s)
         for host in list_stop_hosts(step)
     )
 
@@ -146,14 +150,25 @@ def build_reach_phase(task: str, host_name: str, inventory: Inventory) -> Planne
 
 
 def build_stop_phase(
-    name: str, task: Task | None, host_name: str, inventory: Inventory, *, instance: str | None
+    name: str,
+    task: Task | None,
+    host_name: str,
+    inventory: Inventory,
+    *,
+    instance: str | None,
+    lease_s: float = 0.0,
 ) -> PlannedPhase:
-    """Stop a task on a host and have it proven gone; ``task`` is None where it left the files."""
+    """Stop a task on a host and have it proven gone; ``task`` is None where it left the files.
+
+    ``lease_s``: how long a graph of ROS 2 is asked until it has forgotten the nodes.
+    """
     host = _get_host(inventory, host_name)
-    body = host_requests.build_stop_request(name, host, task=task, instance=instance)
+    lease_s = lease_s if host.ros is not None and host.ros.version == 2 else 0.0
+    body = host_requests.build_stop_request(name, host, task=task, instance=instance, lease_s=lease_s)
     grace = task.stop.grace if task else _UNKNOWN_GRACE_S
+    timeout_s = grace + lease_s + (_GRAPH_S if host.ros is not None else 0.0)
     return PlannedPhase(
-        phase=Phase.STOP, task=name, requests=(PlannedRequest(host=host, body=body, timeout_s=grace),)
+        phase=Phase.STOP, task=name, requests=(PlannedRequest(host=host, body=body, timeout_s=timeout_s),)
     )
 
 

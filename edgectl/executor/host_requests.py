@@ -96,10 +96,13 @@ def fill_start_request(
     return {**request, "instance": instance, "generation": generation, "manager": manager, "spec": filled}
 
 
-def build_stop_request(name: str, host: Host, *, task: Task | None, instance: str | None) -> Request:
+def build_stop_request(
+    name: str, host: Host, *, task: Task | None, instance: str | None, lease_s: float = 0.0
+) -> Request:
     """Stop the processes of ``name``; a task that left the files (None) is stopped as it was started.
 
-    The generation is a placeholder.
+    The generation is a placeholder. ``lease_s``: how long to wait until a graph of ROS 2 has forgotten its
+    nodes.
     """
     rule = None if task is None else encode_stop_rule(task.stop)
     return {
@@ -110,6 +113,23 @@ def build_stop_request(name: str, host: Host, *, task: Task | None, instance: st
         "instance": instance or None,
         "generation": NO_GENERATION,
         "stop": rule,
+        "lease_s": lease_s,
+    }
+
+
+def build_forget_request(
+    host: Host, *, task: str | None, master: str = "", nodes: Mapping[str, str] | None = None
+) -> Request:
+    """Remove what nodes of an ended instance have registered: of a task as ``host`` knows it, or these
+    ``nodes`` of a host that is gone.
+    """
+    return {
+        "op": protocol.OP_FORGET,
+        "fleet": host.fleet,
+        "host": host.name,
+        "task": task,
+        "master": master,
+        "nodes": dict(nodes or {}),
     }
 
 

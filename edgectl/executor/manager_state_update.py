@@ -217,6 +217,7 @@ def _keep_placement(
             instance=sample.instance if sample is not None and newer else old.instance,
             address=host.address if host is not None and seen else old.address,
             machine=host.machine if host is not None and seen else old.machine,
+            nodes=sample.nodes if sample is not None and newer else old.nodes,
         )
     if sample is None:
         return Placement(host=located, since=now, generation=least)
@@ -229,6 +230,7 @@ def _keep_placement(
         file=sample.file,
         address=host.address if host is not None else "",
         machine=host.machine if host is not None else "",
+        nodes=sample.nodes,
     )
 
 

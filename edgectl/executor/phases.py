@@ -16,6 +16,7 @@ from edgectl.model.result import Phase
 from edgectl.model.task import CheckLocation, Task, TaskKind
 from edgectl.model.text import clean_text
 from edgectl.rules.need_runs import join_marks, mark_run
+from edgectl.rules.ros_nodes import describe_graph
 from edgectl.state.lock import describe_manager
 
 # Beyond the grace: SIGKILL, the sweeps that prove the end, and the way back.
@@ -79,8 +80,9 @@ def _stop_task(act: StepRun, planned: PlannedPhase) -> None:
     """Stop the task. Where the plan had seen it alive and it is gone, the fleet has changed: look again."""
     request, host = planned.requests[0], planned.host
     body = {**request.body, "generation": act.generation}
-    with act.phase(planned.phase, host.name):
+    with act.phase(planned.phase, host.name) as remarks:
         answer = act.run.ask(host, body, timeout=request.timeout_s + _STOP_MARGIN_S)
+        remarks.extend(describe_graph(answer.get("graph")))
         if answer.get("state") not in (protocol.STOPPED, protocol.NOT_RUNNING):
             left = clean_text(answer.get("left"), _MAX_DETAIL)
             raise HostError(

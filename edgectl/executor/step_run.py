@@ -144,6 +144,7 @@ def _encode_phase_entry(phase: PhaseResult) -> dict[str, object]:
         "host": phase.host,
         "seconds": round(phase.seconds, 4),
         "ok": phase.ok,
+        **({"detail": phase.detail} if phase.ok and phase.detail else {}),
     }
 
 
@@ -201,8 +202,11 @@ class StepRun:
         self.run = dataclasses.replace(self.run, transport=self.run.recovery)
 
     @contextlib.contextmanager
-    def phase(self, phase: Phase, host: str, *, side_effect: bool = True) -> Iterator[None]:
-        """Time one phase, journal it before it touches the host, report its result; errors pass through."""
+    def phase(self, phase: Phase, host: str, *, side_effect: bool = True) -> Iterator[list[str]]:
+        """Time one phase, journal it before it touches the host, report its result; errors pass through.
+
+        What is appended to the list becomes the detail of a phase that succeeds.
+        """
         if side_effect:
             self.run.record("phase", task=self.name, phase=phase.value, host=host)
         self.run.report_progress(
@@ -214,13 +218,13 @@ class StepRun:
                 host=host,
             )
         )
-        began = time.monotonic()
+        began, remarks = time.monotonic(), list[str]()
         try:
-            yield
+            yield remarks
         except HostError as error:
             self._note(phase, host, began, ok=False, detail=error.message)
             raise
-        self._note(phase, host, began, ok=True)
+        self._note(phase, host, began, ok=True, detail="; ".join(remarks))
 
     def _note(self, phase: Phase, host: str, began: float, *, ok: bool, detail: str = "") -> None:
         ended = PhaseResult(phase=phase, host=host, seconds=time.monotonic() - began, ok=ok, detail=detail)

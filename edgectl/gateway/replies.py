@@ -141,6 +141,7 @@ class TaskReply:
     orphaned: bool = False
     adoptable: bool = False
     needed: Text = ""
+    nodes: Mapping[Text, Text] = field(default_factory=dict)
     partial: Text = ""
 
 

@@ -116,6 +116,7 @@ def _decode_task(name: str, entry: object, answered_at: float) -> TaskSample:
         orphaned=reply.orphaned,
         adoptable=reply.adoptable,
         needed=reply.needed,
+        nodes=reply.nodes,
         partial=reply.partial,
     )
 

@@ -162,7 +162,7 @@ def _build_entry(group: _Group, groups: Sequence[_Group], has_parameters: bool) 
     values = dict(group.values)
     needs: list[object] = []
     if group.nodes[0].version == 1:
-        needs.append(ROSCORE)
+        needs.append({"task": ROSCORE, "restart": "with"})
         if has_parameters:
             needs.append({"task": PARAMETERS, "until": "completed"})
     needs += _build_needs(group, groups)
@@ -215,10 +215,9 @@ def _build_service_entries(launch: Launch, master: str) -> list[FileEntry]:
         "command": " && ".join(steps),
         "demand": "measured",
         "kind": "job",
-        "needs": [ROSCORE],
+        "needs": [{"task": ROSCORE, "restart": "with"}],
     }
-    comment = f"After a restart of {ROSCORE}: edgectl reopen {PARAMETERS}"
-    return [core, FileEntry(name=PARAMETERS, values=values, comments=(comment,))]
+    return [core, FileEntry(name=PARAMETERS, values=values)]
 
 
 def format_parameter_tree(parameters: Mapping[str, object]) -> str:

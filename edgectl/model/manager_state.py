@@ -15,6 +15,7 @@ class Placement:
 
     ``instance``: the start that was placed there; empty where it is not known.
     ``file``: the task file that last listed it. ``address`` and ``machine``: of the host, as in its sample.
+    ``nodes``: the names and addresses of its ROS 1 nodes there.
     """
 
     host: str
@@ -25,6 +26,7 @@ class Placement:
     file: str = ""
     address: str = ""
     machine: str = ""
+    nodes: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -117,6 +117,7 @@ class TaskSample:
     its host knows. ``started_at``: 0 where it is not known any more. ``metrics``: the last value of each
     application metric by name, also after its end. ``file``: the task file that it was started from.
     ``needed``: marks of the runs of its predecessors with ``restart: with`` when it was started.
+    ``nodes``: the names and addresses under which its nodes are registered at a ROS 1 master.
     ``partial``: what its traffic lacks, as of a link.
     ``orphaned``: it lives without a supervisor; ``adoptable``: a new one can take it over as it is (ADR
     0041).
@@ -147,6 +148,7 @@ class TaskSample:
     orphaned: bool = False
     adoptable: bool = False
     needed: str = ""
+    nodes: Mapping[str, str] = field(default_factory=dict)
     partial: str = ""
 
 

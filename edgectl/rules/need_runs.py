@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from edgectl.model.task import Need, Task
 
 _MARK_LENGTH = 6
+# Stands for the mark of a predecessor that does not live: no run has it.
+NO_RUN = "-"
 
 
 def list_followed_needs(task: Task) -> tuple[Need, ...]:

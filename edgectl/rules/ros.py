@@ -33,6 +33,7 @@ def _encode_ros(host: Host, robots: Iterable[str], values: Mapping[str, str]) ->
     master = host.ros.master if host.ros is not None else None
     others = [urlsplit(master).hostname or ""] if master is not None else []
     return {
+        "version": host.ros.version if host.ros is not None else 1,
         "setup": list(host.ros.setup) if host.ros is not None else [],
         "peers": [*robots, *others],
         "values": {**values, **({MASTER: master} if master is not None else {})},

@@ -7,6 +7,7 @@ from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.snapshot import HostSample, TaskSample, TaskState
 from edgectl.model.task import Task
 from edgectl.rules.lost_places import LostPlace, find_lost_place
+from edgectl.rules.need_runs import NO_RUN, find_restarted_need, list_followed_needs, mark_run
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.claims import Standing, find_record, judge_report
 
@@ -73,20 +74,44 @@ def find_newest_instance(
 
 
 def is_completed(
-    manager: ManagerState, task: Task, sightings: Iterable[FoundInstance], current: FoundInstance | None
+    evidence: Evidence, task: Task, sightings: Iterable[FoundInstance], current: FoundInstance | None
 ) -> bool:
     """Marked done, or reported completed by a host whose report counts, with the present specification. A
-    newer instance that is alive overrules it.
+    newer instance that is alive overrules it, and so does a later run of a predecessor with which it
+    restarts.
     """
-    if manager.done.get(task.name) == task.spec_hash:
-        return True
     finished = [
         s.sample
         for s in sightings
         if s.sample.state is TaskState.COMPLETED and s.sample.spec_hash == task.spec_hash
     ]
-    newest = max((sample.generation for sample in finished), default=None)
-    return newest is not None and (current is None or current.sample.generation <= newest)
+    newest = max(finished, key=lambda sample: sample.generation, default=None)
+    if newest is not None and _is_outdated(evidence, task, newest):
+        return False
+    if evidence.manager.done.get(task.name) == task.spec_hash:
+        return True
+    return newest is not None and (current is None or current.sample.generation <= newest.generation)
+
+
+def _is_outdated(evidence: Evidence, task: Task, finished: TaskSample) -> bool:
+    """Whether a predecessor with ``restart: with`` is in another run than when the task was started, or has
+    ended.
+    """
+    marks = {need.task: _mark_present_run(evidence, need.task) for need in list_followed_needs(task)}
+    return find_restarted_need(task, finished.needed, marks) is not None
+
+
+def _mark_present_run(evidence: Evidence, name: str) -> str:
+    """The mark of the run of a task that lives now; empty where none is seen and one may live unseen."""
+    hosts = evidence.samples.values()
+    runs = [host.tasks[name] for host in hosts if host.ok and name in host.tasks]
+    newest = max((run for run in runs if run.state.alive), key=lambda run: run.generation, default=None)
+    if newest is not None:
+        return mark_run(newest.instance, newest.restarts)
+    placement = evidence.manager.placements.get(name)
+    there = evidence.samples.get(placement.host) if placement is not None else None
+    asked = all(host.ok for host in hosts) if placement is None else there is not None and there.ok
+    return NO_RUN if asked else ""
 
 
 def find_given_up_run(

@@ -189,7 +189,7 @@ def _add_task(builder: _InitialStateBuilder, task: Task, sightings: tuple[FoundI
     alive = [s for s in sightings if s.sample.state.alive]
     ours = [s for s in alive if s.sample.managed and task.managed]
     current = find_newest_instance(builder.evidence, task, ours or alive)
-    if is_completed(builder.evidence.manager, task, sightings, current):
+    if is_completed(builder.evidence, task, sightings, current):
         _release_usage(builder, ours, task)
         lingering = [s for s in sightings if s.sample.state is TaskState.COMPLETED and s.sample.pid > 0]
         current = current or find_newest_instance(builder.evidence, task, lingering)

@@ -143,6 +143,7 @@ def _decode_phase_result(entry: JournalEntry) -> PhaseResult:
         host=_text_or_empty(entry.get("host")),
         seconds=_finite_or_none(entry.get("seconds")) or 0.0,
         ok=entry.get("ok") is True,
+        detail=_text_or_empty(entry.get("detail")),
     )
 
 

@@ -73,6 +73,7 @@ def _describe_result(result: ActionResult) -> str:
         if result.downtime_s is None
         else f"gap {format_duration(result.downtime_s)}"
     )
+    parts += [phase.detail for phase in result.phases if phase.ok and phase.detail]
     return ", ".join(parts)
 
 

@@ -68,18 +68,26 @@ def _record_cut_links(
     stored: Mapping[tuple[str, str], LinkHistory],
     known: Mapping[tuple[str, str], LinkHistory],
 ) -> None:
-    """Record an event for each edge that is cut off since the last probe from a robot that answers here."""
-    now = snapshot.taken_at
+    """Record an event for each edge that, since the last probe, is cut off from a robot that answers here, or
+    is not any more.
+    """
     events = [
-        Event(at=now, kind=EventKind.LINK_DOWN, host=edge, message=f"{robot} does not answer it any more")
+        _build_link_event(snapshot.taken_at, edge, robot, cut_off=link.cut_off)
         for (edge, robot), link in known.items()
-        if link.cut_off
-        and not stored.get((edge, robot), _NOTHING).cut_off
+        if link.cut_off != stored.get((edge, robot), _NOTHING).cut_off
         and robot in snapshot.hosts
         and snapshot.hosts[robot].ok
     ]
     if events:
         fleet.history.use(fleet.state, fleet.warn, lambda store: store.record_events(events))
+
+
+def _build_link_event(at: float, edge: str, robot: str, *, cut_off: bool) -> Event:
+    if cut_off:
+        return Event(
+            at=at, kind=EventKind.LINK_DOWN, host=edge, message=f"{robot} does not answer it any more"
+        )
+    return Event(at=at, kind=EventKind.LINK_BACK, host=edge, message=f"{robot} answers it again")
 
 
 def _save(

@@ -16,6 +16,7 @@ from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan
 from edgectl.model.progress import ProgressListener, ignore_progress
 from edgectl.model.result import Outcome, Results
+from edgectl.rules.ros_nodes import list_lost_nodes
 from edgectl.state.heartbeats import record_orphans
 from edgectl.state.journal import JOURNAL_FILE_NAME, Journal
 from edgectl.state.journal_reader import JournalSummary, read_journal_cached
@@ -29,6 +30,7 @@ from edgectl.usecases.coordination import announce_starts, load_pending_starts, 
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.fleet_lease import compute_files_digest, hold_fleet
 from edgectl.usecases.heartbeat import track_heartbeats
+from edgectl.usecases.lost_nodes import forget_lost_nodes
 from edgectl.usecases.plan import compute_plan_id, keep_whole_plan
 from edgectl.usecases.record import record_results
 
@@ -105,6 +107,7 @@ def confirm_and_execute(
         return ApplyResult(plan=plan, declined=True)
     cut_off, silent = _warn_of_unfinished_apply(fleet), SilentHosts()
     if not plan.changes:
+        manager = forget_lost_nodes(fleet, plan, manager, _NO_RESULTS)
         _save_manager_state(fleet, plan, manager, _NO_RESULTS, {})
         _recover_interrupted_apply(fleet, cut_off, silent)
         return ApplyResult(plan=plan)
@@ -135,6 +138,9 @@ def confirm_and_execute(
             )
         after = _save_manager_state(fleet, plan, manager, results, used)
         _record_placements(fleet, journal, results.revision, after)
+    left = forget_lost_nodes(fleet, plan, manager, results)
+    if left != manager:
+        _save_manager_state(fleet, plan, left, results, used)
     _forget_adopted_orphans(fleet, manager, results)
     record_results(fleet, plan, results)
     _recover_interrupted_apply(fleet, cut_off, silent)
@@ -196,6 +202,7 @@ def has_nothing_to_do(fleet: Fleet, plan: Plan) -> bool:
     )
     return (
         select_saved_fields(after) == load_manager_state(fleet.state)
+        and not any(list_lost_nodes(plan.snapshot, fleet.inventory, ()))
         and read_journal_cached(fleet.state / JOURNAL_FILE_NAME).sound
     )
 

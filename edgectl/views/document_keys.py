@@ -63,7 +63,7 @@ LIST_KEYS: KeysByName = {
     "revision": _REVISION,
     "robot": _HOST,
     "task": _TASK,
-    "task-status": (*_RUN, "contacted_at", "node_names", "attention"),
+    "task-status": (*_RUN, "contacted_at", "node_names", "cut_off_from", "attention"),
     "task-usage": (*_RUN, "history"),
 }  # fmt: skip
 

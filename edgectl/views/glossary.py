@@ -289,6 +289,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "assumed": "tasks whose demand counts as their usage",
         "assumptions": "assumptions of a scenario",
         "contributions": "contribution of each term to the lead",
+        "cut_off_from": "robots that the host of a task cannot reach, while both answer edgectl",
         "edge_names": "names of edges",
         "events": "last events",
         "flips": "changes that would alter a decision, smallest first",

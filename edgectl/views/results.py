@@ -118,7 +118,7 @@ def format_action_result(action: ActionResult) -> str:
 def _format_phase_result(phase: PhaseResult) -> str:
     failed = "" if phase.ok else " FAILED"
     return f"{phase.phase} {phase.host} {format_duration(phase.seconds)}{failed}" + (
-        f" ({phase.detail})" if phase.detail and not phase.ok else ""
+        f" ({phase.detail})" if phase.detail else ""
     )
 
 

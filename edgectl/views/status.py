@@ -165,6 +165,9 @@ class StatusView(ListView):
 
     def items(self) -> Sequence[Document]:
         """The same rows as JSON types, each with what needs attention."""
+        cut_off: dict[tuple[str, str], list[str]] = {}
+        for task, host, robot in list_cut_off_tasks(self._tasks, self._snapshot):
+            cut_off.setdefault((task, host), []).append(robot)
         runs = [
             encode_run_row(
                 name,
@@ -174,6 +177,7 @@ class StatusView(ListView):
                 self._snapshot,
             )
             | self._encode_nodes(name)
+            | _encode_cut_off(cut_off.get((name, host)))
             | {"attention": self._describe_attention(name, sample) or None}
             for name, host, sample in list_task_runs(self._snapshot)
         ]
@@ -204,6 +208,10 @@ class StatusView(ListView):
     def names(self) -> Sequence[str]:
         """The tasks that run."""
         return [f"task/{task}" for task, _, sample in list_task_runs(self._snapshot) if sample.state.alive]
+
+
+def _encode_cut_off(robots: Sequence[str] | None) -> Document:
+    return {"cut_off_from": list(robots)} if robots else {}
 
 
 def _render_usage_cells(sample: TaskSample, demand: Amounts) -> list[str]:

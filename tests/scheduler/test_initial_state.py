@@ -11,8 +11,9 @@ from edgectl.model.inventory import Inventory, Role
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy
 from edgectl.model.resource import Usage
-from edgectl.model.snapshot import Snapshot, TaskState
-from edgectl.model.task import DetectRule, Need, NeedCondition, Task
+from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
+from edgectl.model.task import DetectRule, Need, NeedCondition, NeedRestart, Task, TaskKind
+from edgectl.rules.need_runs import mark_run
 from tests.builders import (
     NOW,
     a_link,
@@ -82,6 +83,38 @@ def test_when_a_task_is_completed(memory: ManagerState, tasks: dict[str, object]
     decision = run_assign(ONE, some_tasks(a_task()), snapshot, memory=memory).decisions[0]
     assert (decision.verdict is Verdict.COMPLETED) == completed
     assert decision.host == (None if completed else "edge1")
+
+
+@pytest.mark.parametrize(
+    ("core", "completed"),
+    [
+        (a_run(instance="c1"), True),
+        (a_run(instance="c1", restarts=1), False),  # killed, and started again by its supervisor
+        (a_run(instance="c2"), False),
+        (a_run(TaskState.FAILED, instance="c1"), False),  # what comes next is another run
+        (None, False),
+    ],
+)
+@pytest.mark.parametrize("done", [{}, {"load": "hash-load"}])
+def test_a_job_that_restarts_with_its_predecessor_is_completed_for_one_run_of_it(
+    core: TaskSample | None, completed: bool, done: dict[str, str]
+) -> None:
+    follows = Need(task="core", restart=NeedRestart.WITH)
+    tasks = some_tasks(a_task("core"), a_task("load", kind=TaskKind.JOB, needs=(follows,)))
+    job = a_run(TaskState.COMPLETED, pid=0, spec_hash="hash-load", needed=mark_run("c1", 0))
+    runs = {"load": job} | ({"core": core} if core is not None else {})
+    found = run_assign(ONE, tasks, a_snapshot(edge1=a_sample(tasks=runs)), memory=ManagerState(done=done))
+    decision = decisions_by_task(found)["load"]
+    assert (decision.verdict is Verdict.COMPLETED) == completed
+    # Where the host of the predecessor is silent, its run may be the same.
+    placed = {"core": Placement(host="edge2", since=0.0)}
+    unsure = run_assign(
+        TWO,
+        tasks,
+        a_snapshot(edge1=a_sample(tasks={"load": job}), edge2=silent()),
+        memory=ManagerState(done=done, placements=placed),
+    )
+    assert decisions_by_task(unsure)["load"].verdict is Verdict.COMPLETED
 
 
 def test_a_newer_instance_that_is_alive_is_not_completed() -> None:

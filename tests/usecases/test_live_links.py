@@ -116,9 +116,14 @@ def test_a_cut_link_is_down_within_three_probes_is_said_once_and_comes_back_with
         assert down[2:] == [0.0, 0.0]
     assert site.probe(0.05).capacity_bytes_per_s
     said = [
-        (each.host, each.message) for each in list_events_after(site.fleet, 0) if each.kind == "link-down"
+        (each.kind, each.host, each.message)
+        for each in list_events_after(site.fleet, 0)
+        if each.kind.startswith("link-")
     ]
-    assert said == [("edge1", "robot1 does not answer it any more")]
+    assert said == [
+        ("link-down", "edge1", "robot1 does not answer it any more"),
+        ("link-back", "edge1", "robot1 answers it again"),
+    ]
 
 
 def test_udp_over_the_cable_is_said_for_the_link(network: ShapedNetwork, site: Site) -> None:

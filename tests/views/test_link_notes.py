@@ -69,6 +69,11 @@ def test_a_link_that_is_down_is_noted_where_the_robot_answers_the_manager() -> N
         .table()
         .startswith("slam on edge1 is cut off from robot1: the link is down")
     )
+    rows = {
+        state: {row["task"]: row.get("cut_off_from") for row in StatusView(each, fleet, tasks).items()}
+        for state, each in (("down", seen), ("whole", whole))
+    }
+    assert rows == {"down": {"slam": ["robot1"], "map": None}, "whole": {"slam": None, "map": None}}
     answering = replace(fleet, hosts={name: fleet.hosts[name] for name in ("edge1", "robot1", "robot3")})
     assert of_status(seen, answering, tasks) is ExitCode.PARTLY
     assert of_status(whole, answering, tasks) is ExitCode.DONE

@@ -105,6 +105,8 @@ def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C90
         from ..supervise.takeover import take_over_task as operation
     elif name == protocol.OP_STOP:
         from ..supervise.stop import stop_task as operation
+    elif name == protocol.OP_FORGET:
+        from ..supervise.stop import forget_task_nodes as operation
     elif name == protocol.OP_STATUS:
         from ..supervise.status import report_status as operation
     elif name == protocol.OP_WAIT:

@@ -13,6 +13,7 @@ OP_COUNTERS = "counters"
 OP_DOCTOR = "doctor"
 OP_FETCH = "fetch"
 OP_FOLLOW = "follow"
+OP_FORGET = "forget"
 OP_GRAPH = "graph"
 OP_LEASE = "lease"
 OP_LOGS = "logs"
@@ -34,7 +35,7 @@ OP_WAIT = "wait"
 
 # Operations that change tasks or robots. While a manager holds the fleet they carry its ``lease``
 # (SIGNATURE_KEYS); a probe may carry a claim of it (CLAIM_KEYS).
-CHANGING_OPS = (OP_START, OP_STOP, OP_MARK, OP_CHECK, OP_TAKE_OVER)
+CHANGING_OPS = (OP_START, OP_STOP, OP_MARK, OP_CHECK, OP_TAKE_OVER, OP_FORGET)
 SIGNATURE_KEYS = ("holder", "session", "epoch")
 # Name of the record of the lease in the directory of the fleet.
 LEASE_FILE = "lease"
@@ -49,6 +50,7 @@ REQUEST_KEYS = {
     OP_DOCTOR: ("links", "prelude", "ros", "packages", "env", "timeout_s"),
     OP_FETCH: ("task", "workdir", "file", "most", "offset"),
     OP_FOLLOW: ("task", "tail"),
+    OP_FORGET: ("task", "master", "nodes"),
     OP_GRAPH: ("version", "ros", "env", "timeout_s"),
     OP_LEASE: ("action", "lease", "end_watch"),
     OP_LOGS: ("task", "tail"),
@@ -63,7 +65,7 @@ REQUEST_KEYS = {
     OP_START: ("task", "instance", "generation", "manager", "spec"),
     OP_TAKE_OVER: ("task", "instance", "generation", "manager", "spec"),
     OP_STATUS: ("task",),
-    OP_STOP: ("task", "instance", "generation", "stop"),
+    OP_STOP: ("task", "instance", "generation", "stop", "lease_s"),
     OP_WAIT: ("task", "instance", "timeout_s", "up_s"),
 }
 # Keys of ``spec`` in OP_START.
@@ -97,6 +99,7 @@ ENTRY_KEYS = (
     "fields",
     "file",
     "needed",
+    "nodes",
     "generation",
     "managed",
     "restarts",

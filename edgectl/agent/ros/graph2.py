@@ -32,8 +32,9 @@ _VARIABLES = (
     "FASTDDS_DEFAULT_PROFILES_FILE",
 )
 # How long a helper that was just started may take to be there.
-_CONNECT_S, _RETRY_S = 8.0, 0.05
-# So often the keeper looks for living tasks; without any twice in a row, it ends the helper.
+CONNECT_S, _RETRY_S = 8.0, 0.05
+# So often the keeper looks for living tasks; without any twice in a row, and without a question for as long,
+# it ends the helper: a task may live between two looks, and a stop waits for the names of its nodes.
 _LOOK_S, _POLL_S, _REST_S = 10.0, 0.5, 2.0
 _NO_HELPER = "the helper for ROS 2 is not there: python3 of the set-up files may have no rclpy"
 
@@ -61,12 +62,16 @@ def find_fault(
     Raises:
         NoHelperError: there is no helper, or none that answers.
     """
-    return ask_helper(asked, env, deadline, setup), ""
+    return ask_helper(build_helper_name(env, setup), asked, deadline, CONNECT_S), ""
 
 
-def ask_helper(asked: Document, env: "Mapping[str, str]", deadline: float, setup: "list[str]") -> str:
-    """Ask the helper; raises NoHelperError."""
-    made = _connect(build_helper_name(env, setup), min(deadline, time.monotonic() + _CONNECT_S))
+def ask_helper(name: str, asked: Document, deadline: float, patience_s: float = 0.0) -> str:
+    """Ask the helper; its answer, empty for a condition that holds. ``patience_s``: it was just started.
+
+    Raises:
+        NoHelperError: there is no helper, or none that answers.
+    """
+    made = _connect(name, min(deadline, time.monotonic() + patience_s))
     try:
         made.sendall(fast_json.dumps(asked).encode("utf-8"))
         answer = b""
@@ -141,7 +146,7 @@ def _keep_helper(host: str, env: "Mapping[str, str]", setup: "list[str]", name: 
     """Run the helper while tasks live; start it again where it fails."""
     begun, unused, next_look = time.monotonic(), 0, time.monotonic() + _LOOK_S
     pid = _start_helper(env, setup, name, program)
-    while unused < 2:
+    while unused < 2 or _read_idle_s(name) < _LOOK_S:
         time.sleep(_POLL_S)
         ended, code = os.waitpid(pid, os.WNOHANG)
         if ended and (code == 0 or time.monotonic() - begun < _LOOK_S):
@@ -156,6 +161,14 @@ def _keep_helper(host: str, env: "Mapping[str, str]", setup: "list[str]", name: 
             lives = any(entry["state"] in protocol.ALIVE_STATES for entry in entries)
             unused = 0 if lives else unused + 1
     os.kill(pid, signal.SIGKILL)
+
+
+def _read_idle_s(name: str) -> float:
+    """Read for how long the helper was not asked; for ever where it does not answer."""
+    try:
+        return float(ask_helper(name, {"idle": True}, time.monotonic() + _REST_S))
+    except (NoHelperError, ValueError):
+        return 2 * _LOOK_S
 
 
 def _start_helper(env: "Mapping[str, str]", setup: "list[str]", name: str, program: bytes) -> int:

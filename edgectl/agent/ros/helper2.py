@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 _POLL_S, _SERVICE_S = 0.02, 2.0
 _MOST_BYTES = 1 << 16
+# How the identifiers of its writers begin: then follow two bytes of the host and two of the process.
+_FAST_DDS = b"\x01\x0f"
 # How long a name that is asked for the first time may take to be discovered, and how long after its own start
 # the helper may not know names that have long been there: on a busy host discovery takes seconds.
 _DISCOVERY_S, _SETTLE_S = 1.0, 5.0
@@ -36,13 +38,25 @@ class Graph:
         self.node = self.rclpy.create_node("edgectl_%d" % os.getpid(), enable_rosout=False)
         self.clients: "dict[str, Any]" = {}
         self.settled_at = time.monotonic() + _SETTLE_S
+        self.asked_at = time.monotonic()
         executors: "Any" = importlib.import_module("rclpy.executors")
         executor = executors.SingleThreadedExecutor()
         executor.add_node(self.node)
         threading.Thread(target=executor.spin, daemon=True).start()
 
     def find_fault(self, asked: "dict[str, Any]") -> str:
-        """Find the first condition that does not hold; empty where all do."""
+        """Find the first condition that does not hold; empty where all do.
+
+        Where it is no such question: of ``processes``, the names of their nodes; of names, those ``present``
+        in the graph; ``idle``, the seconds since the last question.
+        """
+        if "idle" in asked:
+            return "%.1f" % (time.monotonic() - self.asked_at)
+        self.asked_at = time.monotonic()
+        if "processes" in asked:
+            return " ".join(sorted(self._list_nodes_of(asked["processes"])))
+        if "present" in asked:
+            return " ".join(sorted(set(asked["present"]) & self._list_nodes()))
         if asked.get("node") and not self._discover(lambda: asked["node"] in self._list_nodes()):
             return "node %s is not in the graph" % asked["node"]
         if asked.get("lifecycle"):
@@ -88,6 +102,21 @@ class Graph:
 
     def _list_nodes(self) -> "set[str]":
         return {space.rstrip("/") + "/" + name for name, space in self.node.get_node_names_and_namespaces()}
+
+    def _list_nodes_of(self, pids: "list[int]") -> "set[str]":
+        """List the nodes of processes of this host, as far as the identifiers of their writers have the
+        process: those of Fast DDS do.
+        """
+        writers = self.node.get_publishers_info_by_topic("/parameter_events")
+        found = [
+            (each.node_namespace.rstrip("/") + "/" + each.node_name, bytes(each.endpoint_gid))
+            for each in writers
+        ]
+        hosts = {gid[:4] for name, gid in found if name == "/" + self.node.get_name()}
+        wanted = {struct.pack("<H", pid & 0xFFFF) for pid in pids}
+        return {
+            name for name, gid in found if gid[:2] == _FAST_DDS and gid[:4] in hosts and gid[4:6] in wanted
+        }
 
     def _read_lifecycle(self, node: str) -> str:
         if node not in self.clients:

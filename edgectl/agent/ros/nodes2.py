@@ -30,7 +30,8 @@ def list_nodes(env: "Mapping[str, str]", setup: "list[str]", deadline: float) ->
     Raises:
         NoHelperError: there is no helper, or none that answers.
     """
-    answer = graph2.ask_helper({"list": True}, env, deadline, setup)
+    helper = graph2.build_helper_name(env, setup)
+    answer = graph2.ask_helper(helper, {"list": True}, deadline, graph2.CONNECT_S)
     if not answer.startswith("{"):
         raise graph2.NoHelperError(
             answer or "the helper for ROS 2 is of another edgectl; try again in a minute"

@@ -20,6 +20,10 @@ class CallError(Exception):
     """The call failed; the text says why."""
 
 
+class NobodyListensError(CallError):
+    """The host says that nobody listens at this port."""
+
+
 def split_uri(uri: str) -> "tuple[str, int]":
     """Split ``http://host:port/`` or ``rosrpc://host:port``. CallError where it is none."""
     place = uri.partition("://")[2].partition("/")[0]
@@ -40,6 +44,8 @@ def connect(host: str, port: int, deadline: float) -> "socket.socket":
         made.connect((found[0], port))
     except OSError as error:
         made.close()
+        if isinstance(error, ConnectionRefusedError):
+            raise NobodyListensError(error.strerror) from error
         raise CallError(error.strerror or "no answer in time") from error
     return made
 

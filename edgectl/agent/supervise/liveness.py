@@ -11,7 +11,7 @@ import time
 from ..link import protocol
 from ..link.fast_json import Document
 from ..measure import proc
-from . import lockfile, records, state_dir
+from . import lockfile, node_record, records, state_dir
 
 _LAST_TRIES, _LAST_TRY_S = 25, 0.02
 _LAST_LINES, _LAST_LINE_LENGTH = 5, 200
@@ -155,6 +155,7 @@ def build_entry(found: InstanceRecord, alive: bool) -> Document:
         "limits": status.get("limits", ""),
         "last_exit": status.get("last_exit"),
         "given_up": bool(status.get("given_up")),
+        "nodes": node_record.list_registered(found.folder),
     }
     document.update(_build_living_fields(found) if alive else _build_dead_fields(found))
     if document["state"] in protocol.FAILED_STATES:

@@ -8,10 +8,16 @@ import time
 from ..link import protocol
 from ..link.fast_json import Document
 from ..measure import proc
-from . import liveness, lockfile, records, signals, state_dir, status
+from . import liveness, lockfile, nodes, records, signals, state_dir, status
 from .liveness import InstanceRecord
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Callable
+
 _KILL_S = 10.0
+# The nodes of a host that is switched off do not refuse an answer, but never give it.
+_FORGET_S = 10.0
 _PROOF_S = 5.0
 _SWEEP_S = 0.05
 _EMPTY_SWEEPS = 2
@@ -30,22 +36,44 @@ def stop_task(request: Document) -> Document:
     wanted = [
         record for record in alive if request.get("instance") in (None, record.instance.get("instance"))
     ]
+    lease_s = float(request.get("lease_s") or 0.0)
     if not wanted:
-        _clear_failure(host, task)
-        return _build_stop_reply(protocol.NOT_RUNNING, [], began)
+        graph = _clear_failure(host, task, lease_s) if not alive else {}
+        return _build_stop_reply(protocol.NOT_RUNNING, [], began, graph)
+    graph = {}
     left = [pid for record in wanted for pid in _stop_instance(record, request)]
-    return _build_stop_reply(protocol.STOP_INCOMPLETE if left else protocol.STOPPED, left, began)
+    for record in wanted if not left else ():
+        graph = nodes.forget_nodes(record.folder, lease_s) or graph
+    return _build_stop_reply(protocol.STOP_INCOMPLETE if left else protocol.STOPPED, left, began, graph)
 
 
-def _build_stop_reply(state: str, left: "list[int]", began: float) -> Document:
-    return {"state": state, "left": sorted(left), "seconds": round(time.monotonic() - began, 3)}
+def forget_task_nodes(request: Document) -> Document:
+    """Operation ``forget``: remove what the nodes of an instance that has ended have registered.
+
+    Of a ``task`` of this host as its record has them; else ``nodes`` (name -> address) at ``master``, of a
+    host that is gone.
+    """
+    if not request.get("task"):
+        return {"graph": nodes.remove_nodes(str(request["master"]), request["nodes"], seconds=_FORGET_S)}
+    record, alive = status.find_current(state_dir.check_name(request["host"]), request["task"])
+    return {"graph": {} if record is None or alive else nodes.forget_nodes(record.folder, 0.0)}
 
 
-def _clear_failure(host: str, task: str) -> None:
-    """Record a failed task that is stopped as stopped, so that its failure is no longer reported."""
+def _build_stop_reply(state: str, left: "list[int]", began: float, graph: Document) -> Document:
+    seconds = round(time.monotonic() - began, 3)
+    return {"state": state, "left": sorted(left), "seconds": seconds, "graph": graph}
+
+
+def _clear_failure(host: str, task: str, lease_s: float) -> Document:
+    """Record a failed task that is stopped as stopped, so that its failure is no longer reported, and end the
+    names of its nodes.
+    """
     record, alive = status.find_current(host, task)
-    if record is not None and not alive and record.status.get("state") in protocol.FAILED_STATES:
+    if record is None or alive:
+        return {}
+    if record.status.get("state") in protocol.FAILED_STATES:
         _record_stopped(record)
+    return nodes.forget_nodes(record.folder, lease_s)
 
 
 def _record_stopped(record: InstanceRecord) -> None:
@@ -66,11 +94,12 @@ def _stop_instance(record: InstanceRecord, request: Document) -> "list[int]":
             durable=True,
         )
     settings = request.get("stop") or record.instance.get("stop") or {}
+    note = nodes.note_nodes(record.folder)
     disable_restarts(record)
     for name, scope, grace_s in signals.list_stop_steps(settings):
-        if _signal_until_gone(record, signals.parse_signal(name), scope, grace_s):
+        if _signal_until_gone(record, signals.parse_signal(name), scope, grace_s, note):
             break
-    _signal_until_gone(record, signals.parse_signal("KILL"), "tree", _KILL_S)
+    _signal_until_gone(record, signals.parse_signal("KILL"), "tree", _KILL_S, note)
     left = _find_remaining(record)
     if not left:
         _record_stopped(record)
@@ -86,8 +115,11 @@ def disable_restarts(record: InstanceRecord) -> None:
         signals.send_signal(above, ticks, signals.parse_signal("CONT"))
 
 
-def _signal_until_gone(record: InstanceRecord, number: int, scope: str, patience_s: float) -> bool:
-    """Signal, then sweep until two sweeps in a row find nothing; newcomers get the signal too.
+def _signal_until_gone(
+    record: InstanceRecord, number: int, scope: str, patience_s: float, note: "Callable[[set[int]], None]"
+) -> bool:
+    """Signal, then sweep until two sweeps in a row find nothing; newcomers get the signal too. ``note`` is
+    called with the processes of each sweep.
 
     False after ``patience_s``.
     """
@@ -98,6 +130,7 @@ def _signal_until_gone(record: InstanceRecord, number: int, scope: str, patience
         record = liveness.read_instance(record.folder)
         pids = liveness.find_processes(record, table)
         empty = 0 if pids else empty + 1
+        note(pids)
         targets = (
             pids
             if scope == "tree"

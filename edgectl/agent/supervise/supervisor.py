@@ -16,6 +16,7 @@ from ..measure import metrics, proc
 from . import backoff, liveness, lockfile, records, scope, shell, signals, spawn
 from .alive import AliveCheck
 from .logfile import LogWriter
+from .nodes import NodeWatch
 from .ready import ReadyCheck
 
 TYPE_CHECKING = False
@@ -76,6 +77,7 @@ class Supervisor:
             0.0,
         )
         self.ready, self.alive = ReadyCheck(spec, self.env), AliveCheck(spec, self.env)
+        self.nodes = NodeWatch(folder, spec, self.env)
         self.next_metrics = 0.0
         self.wake, self._wake_end = os.pipe()
         if orphan is not None:
@@ -89,6 +91,7 @@ class Supervisor:
             identity["adopted"] = True
             records.write_record(os.path.join(self.folder, "instance"), identity, durable=True)
             self._install_handlers()
+            self.nodes.begin()
             self._record_status()
         else:
             metrics.reset_metrics_file(self.folder)
@@ -98,6 +101,7 @@ class Supervisor:
         fast_json.send_document(self.report, {"pid": self.pid, "limits": self.status["limits"]})
         while self.pid or self.next_start is not None:
             self._run_once()
+        self.nodes.end(remove=not self.stopping)
         metrics.limit_metrics_file(self.folder)
 
     def _take_over(self, status: Document) -> None:
@@ -144,6 +148,7 @@ class Supervisor:
         process = proc.read_process(self.pid)
         self.ticks, self.started = process.ticks if process is not None else -1, time.monotonic()
         self.ready.begin()
+        self.nodes.begin()
         self._record_status(
             state=protocol.STARTING if self.spec.get("ready") else protocol.RUNNING,
             pid=self.pid,
@@ -166,6 +171,8 @@ class Supervisor:
         # Before the children are reaped: the process of a check that has ended stands in their way.
         self._ask_readiness()
         self._ask_health()
+        if self.pid and not self.stopping:
+            self.nodes.poll()
         ended = self._reap_children()
         if ended is not None:
             self._handle_end(ended)
@@ -189,7 +196,11 @@ class Supervisor:
             times.append(self.next_look - now)
         if self.next_start is not None:
             times.append(self.next_start - now)
-        checks = (self.ready.compute_wait_s(now), self.alive.compute_wait_s(now))
+        checks = (
+            self.ready.compute_wait_s(now),
+            self.alive.compute_wait_s(now),
+            self.nodes.compute_wait_s(now) if self.pid and not self.stopping else None,
+        )
         times.extend(each for each in checks if each is not None)
         return max(0.0, min(times)) * 1000.0 + 1.0
 

@@ -16,6 +16,7 @@ _PROBLEM_EVENTS = (
     EventKind.HOST_BACK,
     EventKind.HOST_REBOOTED,
     EventKind.LINK_DOWN,
+    EventKind.LINK_BACK,
     EventKind.TASK_FAILED,
     EventKind.TASK_CRASHLOOP,
     EventKind.TASK_LOST,
