@@ -18,9 +18,7 @@ _HostsArgument = Annotated[
         show_default=False,
     ),
 ]
-_ScriptOption = Annotated[
-    bool, Option("--script", help="Print the script that root has to run on the one HOST; change nothing.")
-]
+_ScriptOption = Annotated[bool, Option("--script", help="Only print the script for root of the one HOST.")]
 
 
 def counters_install_command(

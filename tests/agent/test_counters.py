@@ -162,6 +162,13 @@ class Site:
 
 
 @pytest.fixture
+def tmp_path() -> Iterator[Path]:
+    """Outside /dev/shm, where the directory of pytest may be: the computers have one of their own there."""
+    with tempfile.TemporaryDirectory(prefix="edgectl-counters-", dir="/var/tmp") as folder:
+        yield Path(folder)
+
+
+@pytest.fixture
 def site(monkeypatch: pytest.MonkeyPatch) -> Iterator[Site]:
     # Not below the directory of pytest, which other users may not enter.
     folder = Path(tempfile.mkdtemp(prefix="edgectl-counters-"))

@@ -66,6 +66,7 @@ def test_the_environment_of_a_task_follows_and_what_is_stated_wins(tmp_path: Pat
     assert (stated["ROS_MASTER_URI"], stated["ROS_HOSTNAME"]) == ("http://other:1", "me")
     assert "ROS_IP" not in stated
     assert encode_ros(tasks.tasks["t"], edge, inventory.hosts) == {
+        "version": 1,
         "setup": ["/opt/ros/noetic/setup.bash"],
         "peers": ["10.0.0.21", "10.0.0.11"],
         "values": {"robot_address": "10.0.0.21", "master": "http://10.0.0.11:11311"},

@@ -24,8 +24,8 @@ PLANTS = [
         "agent/supervise/stop.py",
         "    left = _find_remaining(record)\n",
         "    left = []\n",
-        '        if _signal_until_gone(record, signals.parse_signal(name), scope, grace_s):\n            break\n    _signal_until_gone(record, signals.parse_signal("KILL"), "tree", _KILL_S)\n',
-        "        _signal_until_gone(record, signals.parse_signal(name), scope, 0.0)\n",
+        '        if _signal_until_gone(record, signals.parse_signal(name), scope, grace_s, note):\n            break\n    _signal_until_gone(record, signals.parse_signal("KILL"), "tree", _KILL_S, note)\n',
+        "        _signal_until_gone(record, signals.parse_signal(name), scope, 0.0, note)\n",
         id="proof of stop skipped",
     ),
     pytest.param(

@@ -193,7 +193,7 @@ def test_unattended_it_moves_no_more_than_max_moves() -> None:
 
 def test_never_worse_and_every_bound_holds() -> None:
     dice, reasons = Random(3), set()
-    for seed in range(5):
+    for seed in range(8):
         fleet = run_first(build_full_fleet(3, 7, seed, fill=(0.85, 0.97)), dice.randrange(1, 5))
         found, plain = optimise(fleet), fleet.assign()
         certificate = get_certificate(found)
