@@ -23,7 +23,7 @@ style: setup
 
 # More workers than cores: most tests wait for real hosts, and each makes hosts of its own. A failed test is run
 # once more, alone, and named (docs/adr/0030-rerun-failed-tests-once.md).
-WORKERS ?= 6
+WORKERS ?= 8
 test: style
 	@.ci/need-faults
 	@.ci/need-promtool

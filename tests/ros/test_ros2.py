@@ -51,13 +51,14 @@ def a_question(**asked: Any) -> dict[str, Any]:
     return {"version": 2, "node": None, "topic": None, "service": None, "lifecycle": None, **asked}
 
 
-def list_helpers() -> list[int]:
-    """Helpers of this test's user on this machine, by their arguments."""
-    mark = f"edgectl-ros2-{os.geteuid()}-"
+def list_helpers(domain: str) -> list[int]:
+    """Helpers of this test's user and domain on this machine; other tests have theirs."""
+    mark, ours = f"edgectl-ros2-{os.geteuid()}-", f"ROS_DOMAIN_ID={domain}".encode()
     return [
         pid
         for pid in proc.read_process_table()
         if any(word.startswith(mark) for word in proc.read_cmdline(pid))
+        and ours in proc.read_file(f"/proc/{pid}/environ").split(b"\0")
     ]
 
 
@@ -72,7 +73,7 @@ def test_a_lifecycle_is_ready_once_active_and_its_death_is_seen(
         topic={"name": "/ticks", "within_s": 2.0},
         service="/talker/get_state",
     )
-    before = set(list_helpers())
+    before = set(list_helpers(domain))
     lab.start(
         "talker",
         f"exec python3 {shlex.quote(str(NODE))} talker",
@@ -100,7 +101,7 @@ def test_a_lifecycle_is_ready_once_active_and_its_death_is_seen(
     assert ask(node="/talker", lifecycle="inactive")["output"] == "node /talker is active, not inactive"
     assert ask(node="/nobody")["output"] == "node /nobody is not in the graph"
     assert ask(service="/none")["exit"] == 1
-    helpers = set(list_helpers()) - before
+    helpers = set(list_helpers(domain)) - before
     assert (
         len([pid for pid in helpers if b"EDGECTL_TASK_DIR" not in proc.read_file(f"/proc/{pid}/environ")])
         == 1
@@ -112,4 +113,4 @@ def test_a_lifecycle_is_ready_once_active_and_its_death_is_seen(
     assert eventually(lambda: ask(node="/talker")["exit"] == 0, seconds=60.0)
     assert lab.entry("talker")["state"] == "ready"  # type: ignore[index]
     lab.stop("talker")
-    eventually(lambda: not set(list_helpers()) - before, seconds=60.0)
+    eventually(lambda: not set(list_helpers(domain)) - before, seconds=60.0)
