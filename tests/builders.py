@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
+from edgectl.model.demand import Demand, Quantity
 from edgectl.model.inventory import Host, Inventory, Limits, Role
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
@@ -16,7 +17,7 @@ from edgectl.model.snapshot import (
     TaskSample,
     TaskState,
 )
-from edgectl.model.task import Demand, HostRules, Need, NeedCondition, Quantity, Task, Tasks
+from edgectl.model.task import HostRules, Need, NeedCondition, Task, Tasks
 from edgectl.names import natural_key
 
 # The task file of every task.

@@ -23,8 +23,8 @@ from edgectl.config.schema import (
     describe_reader,
     get_reader_schema,
 )
+from edgectl.model.check import AliveRule, Check, CheckLocation
 from edgectl.model.ros import RosCheck, RosTopic
-from edgectl.model.task import AliveRule, Check, CheckLocation
 
 
 def check_reader(where: CheckLocation) -> NodeReader:
@@ -114,7 +114,7 @@ def read_alive(node: Node, problems: Problems) -> Any:  # noqa: ANN401
 
 
 @describe_as(lambda: {"type": "string", "pattern": r"^[A-Za-z0-9_/~{}.-]+$"})
-def _read_ros_name(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+def read_ros_name(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     """A name in the ROS graph, from its root; a placeholder may be part of it."""
     name = read_text(node, problems)
     if not isinstance(name, str):
@@ -127,13 +127,13 @@ def _read_ros_name(node: Node, problems: Problems) -> Any:  # noqa: ANN401
 
 
 @describe_as(
-    lambda: {"anyOf": [get_reader_schema(_read_ros_name), build_object_schema(ROS_TOPIC_KEYS, ("name",))]}
+    lambda: {"anyOf": [get_reader_schema(read_ros_name), build_object_schema(ROS_TOPIC_KEYS, ("name",))]}
 )
 def _read_ros_topic(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     """A topic: its name, or a mapping with the time within which a message must come."""
     if isinstance(node.value, dict):
         return record_reader(ROS_TOPIC_KEYS, RosTopic, "a topic", ("name",))(node, problems)
-    name = _read_ros_name(node, problems)
+    name = read_ros_name(node, problems)
     return name if name is INVALID else RosTopic(name=name)
 
 
@@ -145,7 +145,7 @@ _ROS_QUESTIONS = {
     "ros_lifecycle": "lifecycle",
 }
 _ROS_NAME = re.compile(r"/?[A-Za-z0-9_{][A-Za-z0-9_/{}.-]*")
-ROS_TOPIC_KEYS: Mapping[str, NodeReader] = {"name": _read_ros_name, "within": read_duration}
+ROS_TOPIC_KEYS: Mapping[str, NodeReader] = {"name": read_ros_name, "within": read_duration}
 HOOK_KEYS: Mapping[str, NodeReader] = {
     "command": read_text,
     "on": enum_reader(CheckLocation),
@@ -153,9 +153,9 @@ HOOK_KEYS: Mapping[str, NodeReader] = {
 }
 CHECK_KEYS: Mapping[str, NodeReader] = {
     **HOOK_KEYS,
-    "ros_node": _read_ros_name,
+    "ros_node": read_ros_name,
     "ros_topic": _read_ros_topic,
-    "ros_service": _read_ros_name,
+    "ros_service": read_ros_name,
     "ros_lifecycle": read_name,
 }
 ALIVE_KEYS: Mapping[str, NodeReader] = {

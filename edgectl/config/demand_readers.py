@@ -22,11 +22,8 @@ from edgectl.config.schema import (
     describe_reader,
     get_reader_schema,
 )
+from edgectl.model.demand import Demand, Quantity
 from edgectl.model.resource import RESOURCES, TASK_RESOURCES
-from edgectl.model.task import (
-    Demand,
-    Quantity,
-)
 
 MEASURED_WORD = "measured"
 MEASURED = Quantity(value=0.0, measured=True)

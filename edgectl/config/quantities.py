@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable
 
 from edgectl.config.schema import build_quantity_schema, describe_as, describe_reader, get_reader_schema
-from edgectl.model.task import Quantity
+from edgectl.model.demand import Quantity
 from edgectl.units import SHARE_PATTERN, QuantityError, is_percent, parse_share
 
 MAX_COST = 1e6

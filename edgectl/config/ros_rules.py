@@ -7,8 +7,9 @@ from collections.abc import Iterator, Mapping
 
 from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.task_file import TaskDraft
+from edgectl.model.check import Check, CheckLocation
 from edgectl.model.inventory import Connection, Host, Inventory
-from edgectl.model.task import Check, CheckLocation, Task, list_node_names
+from edgectl.model.task import Task, list_node_names
 
 # Nodes meet only where these are the same.
 _MEETING_VARIABLES = ("ROS_MASTER_URI", "ROS_DOMAIN_ID", "RMW_IMPLEMENTATION")

@@ -54,15 +54,14 @@ from edgectl.config.task_readers import (
     read_stop,
     read_weights,
 )
+from edgectl.model.check import CheckLocation, OnUnhealthy
 from edgectl.model.policy import Policy, PolicyName, Preference, SequenceRule
 from edgectl.model.task import (
-    CheckLocation,
     DetectRule,
     HandoffContract,
     LogLimits,
     NothingFits,
     OnboardRule,
-    OnUnhealthy,
     RestartPolicy,
     TaskKind,
     TaskLimits,

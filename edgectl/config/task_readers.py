@@ -34,17 +34,10 @@ from edgectl.config.schema import (
     get_reader_schema,
 )
 from edgectl.config.weights import parse_weights
+from edgectl.model.check import CheckLocation
 from edgectl.model.policy import WEIGHT_PRESETS
 from edgectl.model.resource import TERMS
-from edgectl.model.task import (
-    CheckLocation,
-    HandoffOrder,
-    Need,
-    NeedCondition,
-    NeedRestart,
-    StopRule,
-    UnreachablePolicy,
-)
+from edgectl.model.task import HandoffOrder, Need, NeedCondition, NeedRestart, StopRule, UnreachablePolicy
 from edgectl.units import QuantityError, parse_bytes, parse_cores, parse_duration
 
 _NAME_LIST: Schema = {"type": "array", "items": {"type": "string", "pattern": r"\S"}}

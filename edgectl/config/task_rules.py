@@ -5,20 +5,13 @@ import re
 from edgectl.config.fields import Fields
 from edgectl.config.host_rules import FleetIndex
 from edgectl.config.node import Node
-from edgectl.config.placeholders import has_placeholder
+from edgectl.config.placeholders import PLACEHOLDER_KEYS, has_placeholder
 from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.task_file import EXCLUSIVE_KEYS, TaskDraft, TaskTemplate
+from edgectl.model.check import Check, CheckLocation, OnUnhealthy
+from edgectl.model.demand import Demand
 from edgectl.model.resource import RESOURCES
-from edgectl.model.task import (
-    Check,
-    CheckLocation,
-    Demand,
-    OnboardRule,
-    OnUnhealthy,
-    RestartPolicy,
-    TaskKind,
-    UnreachablePolicy,
-)
+from edgectl.model.task import OnboardRule, RestartPolicy, TaskKind, UnreachablePolicy
 from edgectl.units import format_duration
 
 # Heartbeats leave every quarter of self_fence, and those of one second count as one on the manager's disk.
@@ -229,7 +222,7 @@ def _check_placeholders(draft: TaskDraft, problems: Problems) -> None:
     if len(draft.robots) == 1:
         return
     fields = draft.template.fields
-    for key in ("command", "env", "workdir", "ready", "alive", "done_when", "handoff", "detect"):
+    for key in PLACEHOLDER_KEYS:
         if has_placeholder(fields.values.get(key)):
             message = (
                 "{robot} and {robot_host} need exactly one robot, "

@@ -7,11 +7,12 @@ from edgectl.errors import HostError
 from edgectl.executor import host_requests
 from edgectl.executor.dependencies import find_replacement_hold, is_replacement, list_stop_hosts
 from edgectl.model.assignment import Verdict
+from edgectl.model.check import Check, CheckLocation
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.result import Phase
 from edgectl.model.snapshot import TaskSample, TaskState
-from edgectl.model.task import Check, CheckLocation, HandoffOrder, Need, NeedCondition, Task, Tasks
+from edgectl.model.task import HandoffOrder, Need, NeedCondition, Task, Tasks
 
 # One wait request lasts at most so long, so that a lost connection is not mistaken for a slow task.
 WAIT_PIECE_S = 15.0

@@ -3,9 +3,10 @@
 from collections.abc import Iterable, Mapping
 
 from edgectl.dataclass import dataclass
+from edgectl.model.check import Check, CheckLocation
 from edgectl.model.plan import Action, Step
 from edgectl.model.result import ActionResult, Outcome
-from edgectl.model.task import Check, CheckLocation, Need, NeedCondition, Task, Tasks
+from edgectl.model.task import Need, NeedCondition, Task, Tasks
 
 STARTING_ACTIONS = (Action.START, Action.MOVE, Action.RESTART)
 STOPPING_ACTIONS = (Action.STOP, Action.COMPLETE)

@@ -24,8 +24,9 @@ from edgectl.executor.action_phases import (
 from edgectl.executor.concurrent_change import ConcurrentChangeError
 from edgectl.executor.phases import perform_phase, perform_phases, resolve_variables
 from edgectl.executor.step_run import StepRun
+from edgectl.model.check import CheckLocation
 from edgectl.model.result import ActionResult, Outcome, Phase
-from edgectl.model.task import CheckLocation, RestartPolicy, Task
+from edgectl.model.task import RestartPolicy, Task
 
 
 class _HandoffError(Exception):

@@ -7,8 +7,9 @@ from edgectl.agent.link import protocol
 from edgectl.errors import HostError
 from edgectl.executor import host_requests
 from edgectl.executor.action_phases import get_up_time
+from edgectl.model.check import Check, CheckLocation
 from edgectl.model.inventory import Host, Inventory
-from edgectl.model.task import Check, CheckLocation, Task, Tasks
+from edgectl.model.task import Task, Tasks
 from edgectl.transport.agent_client import ask_host
 from edgectl.transport.base import Transport
 from edgectl.transport.fleet_lease import FleetLease

@@ -4,8 +4,9 @@ import hashlib
 from collections.abc import Mapping
 
 from edgectl.agent.link import protocol
+from edgectl.model.check import AliveRule, Check, CheckLocation, OnUnhealthy
 from edgectl.model.inventory import Host
-from edgectl.model.task import AliveRule, Check, CheckLocation, OnUnhealthy, StopRule, Task
+from edgectl.model.task import StopRule, Task
 from edgectl.rules.environment import drop_secrets, merge_environment
 from edgectl.rules.ros import encode_question, encode_ros
 

@@ -12,8 +12,9 @@ from edgectl.executor.concurrent_change import check_gone_everywhere
 from edgectl.executor.host_requests import Request
 from edgectl.executor.secrets import resolve_environment
 from edgectl.executor.step_run import RunContext, StepRun
+from edgectl.model.check import CheckLocation
 from edgectl.model.result import Phase
-from edgectl.model.task import CheckLocation, Task, TaskKind
+from edgectl.model.task import Task, TaskKind
 from edgectl.model.text import clean_text
 from edgectl.rules.need_runs import join_marks, mark_run
 from edgectl.rules.ros_nodes import describe_graph

@@ -12,11 +12,12 @@ from statistics import fmean
 from edgectl.experiments.model.comparison import ReplayResult, Utilisation
 from edgectl.experiments.model.schemes import Scheme
 from edgectl.model.assignment import Assignment, Verdict
+from edgectl.model.demand import ZERO
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.resource import NETWORK, RESOURCES_BY_NAME, Usage
 from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, TaskSample, TaskState
-from edgectl.model.task import ZERO, Task, Tasks
+from edgectl.model.task import Task, Tasks
 from edgectl.names import natural_key
 from edgectl.scheduler.assign import assign
 from edgectl.scheduler.task_usage import TaskUsage

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import simpy
 
 from edgectl.experiments.model.scenario import Scenario, SimHostUsage
+from edgectl.model.demand import ZERO
 from edgectl.model.inventory import Inventory, Role
 from edgectl.model.link_reading import LinkHistory, LinkObservation, LinkSampleResult
 from edgectl.model.manager_state import ManagerState
@@ -21,7 +22,7 @@ from edgectl.model.snapshot import (
     TaskSample,
     TaskState,
 )
-from edgectl.model.task import ZERO, Task, Tasks
+from edgectl.model.task import Task, Tasks
 from edgectl.rules.live_links import add_sample, apply_live_capacities, choose_links_to_probe, observe_link
 
 

@@ -8,9 +8,10 @@ from enum import StrEnum
 from functools import cache
 from typing import Any
 
+from edgectl.model.demand import Demand
 from edgectl.model.inventory import Inventory
 from edgectl.model.resource import RESOURCES_BY_NAME, ResourceMap
-from edgectl.model.task import Demand, Task, Tasks
+from edgectl.model.task import Task, Tasks
 
 RUN_FIELDS = ("command", "env", "workdir", "kind", "restart", "stop", "ready", "limits", "log", "robots")
 OPTIONAL_RUN_FIELDS = ("self_fence", "env_command", "alive")

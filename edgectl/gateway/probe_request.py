@@ -3,8 +3,9 @@
 from collections.abc import Mapping
 
 from edgectl.agent.link import protocol
+from edgectl.model.check import Check, CheckLocation
 from edgectl.model.inventory import Host, Inventory, Role
-from edgectl.model.task import Check, CheckLocation, DetectRule, Task, Tasks
+from edgectl.model.task import DetectRule, Task, Tasks
 from edgectl.rules.environment import drop_secrets, merge_environment
 from edgectl.rules.ros import encode_question, encode_ros
 

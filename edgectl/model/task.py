@@ -5,49 +5,14 @@ import re
 from collections.abc import Mapping
 from dataclasses import field
 from enum import StrEnum
-from math import inf
 
 from edgectl.dataclass import dataclass
+from edgectl.model.check import AliveRule, Check
+from edgectl.model.demand import Demand
 from edgectl.model.policy import Policy
-from edgectl.model.resource import RESOURCES_BY_NAME, ResourceMap
-from edgectl.model.ros import RosCheck
 
 _NODE_NAME = re.compile(r"(?:^|\s)__(?:name|node):=(\S+)")
 _NODE_NAMESPACE = re.compile(r"(?:^|\s)__ns:=(\S+)")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Quantity:
-    """A demand: absolute, in the unit of its resource, or a share of the measured capacity before limits.
-
-    ``measured``: it counts only until there is enough history of the task on that class of host (ADR 0025).
-    """
-
-    value: float
-    relative: bool = False
-    measured: bool = False
-
-    def of(self, capacity: float) -> float:
-        """The demand in the unit of ``capacity`` (the host's before limits, or the link's).
-
-        A share of no limit is 0.
-        """
-        if not self.relative:
-            return self.value
-        return self.value * capacity if capacity != inf else 0.0
-
-
-ZERO = Quantity(value=0.0)
-
-
-class Demand(ResourceMap[Quantity | None]):
-    """rho of one task by resource; of the network, on each of its links.
-
-    None: not stated, 0 until measured.
-    """
-
-    __slots__ = ()
-    DEFAULTS = dict.fromkeys(RESOURCES_BY_NAME, None)
 
 
 class TaskKind(StrEnum):
@@ -81,13 +46,6 @@ class RestartPolicy(StrEnum):
     NEVER = "never"
 
 
-class CheckLocation(StrEnum):
-    """Location of a check: the host of the task, or its robot."""
-
-    HOST = "host"
-    ROBOT = "robot"
-
-
 class HandoffOrder(StrEnum):
     """Which instance goes first in a move."""
 
@@ -100,13 +58,6 @@ class UnreachablePolicy(StrEnum):
 
     HOLD = "hold"
     REPLACE = "replace"
-
-
-class OnUnhealthy(StrEnum):
-    """What becomes of a task that is not alive: only said, or its supervisor restarts it."""
-
-    REPORT = "report"
-    RESTART = "restart"
 
 
 class NeedRestart(StrEnum):
@@ -125,33 +76,6 @@ class Need:
     task: str
     until: NeedCondition = NeedCondition.READY
     restart: NeedRestart | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Check:
-    """A question that is answered within ``timeout`` seconds: a shell command by its exit status (0 = yes),
-    or with ``ros`` the ROS graph; ``command`` is empty then.
-    """
-
-    command: str = ""
-    on: CheckLocation = CheckLocation.HOST
-    timeout: float = 20.0
-    ros: RosCheck | None = None
-
-    def describe(self) -> str:
-        """The question as it was asked."""
-        return self.command if self.ros is None else self.ros.describe()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AliveRule:
-    """Question that a task's supervisor asks again and again; no answer of yes for ``after`` seconds means
-    unhealthy.
-    """
-
-    check: Check
-    after: float = 10.0
-    on_unhealthy: OnUnhealthy = OnUnhealthy.REPORT
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

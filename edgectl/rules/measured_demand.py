@@ -3,10 +3,11 @@
 from collections.abc import Iterable
 from math import log2
 
+from edgectl.model.demand import Demand, Quantity
 from edgectl.model.inventory import Host
 from edgectl.model.manager_state import MeasuredDemand
 from edgectl.model.resource import TASK_RESOURCES
-from edgectl.model.task import Demand, Quantity, Task
+from edgectl.model.task import Task
 
 # Start-up is not typical use: what a task used in these first seconds does not count.
 WARM_UP_S = 10.0

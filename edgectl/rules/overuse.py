@@ -3,10 +3,11 @@
 from collections.abc import Iterator
 
 from edgectl.model.assignment import Overuse
+from edgectl.model.demand import Quantity
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.resource import TASK_RESOURCES, Resource
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample
-from edgectl.model.task import Quantity, Task, Tasks
+from edgectl.model.task import Task, Tasks
 from edgectl.rules.measured_demand import WARM_UP_S
 
 # Usage is more than declared above this factor, and above what readings vary by: this share of the capacity,

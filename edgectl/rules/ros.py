@@ -4,9 +4,10 @@ import re
 from collections.abc import Iterable, Mapping
 from urllib.parse import urlsplit
 
+from edgectl.model.check import Check
 from edgectl.model.inventory import Host, Role
 from edgectl.model.ros import HOST_PLACEHOLDERS, MASTER, ROBOT_ADDRESS, RosCheck
-from edgectl.model.task import Check, Task
+from edgectl.model.task import Task
 
 Document = dict[str, object]
 # A word with a slash or a dot is a file, not a package.

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edgectl.dataclass import dataclass
+from edgectl.model.demand import ZERO, Demand, Quantity
 from edgectl.model.policy import Weights
 from edgectl.model.resource import HOST_RESOURCES, NETWORK
-from edgectl.model.task import ZERO, Demand, Quantity, Task
+from edgectl.model.task import Task
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.demand import OTHER_CLASS
 from edgectl.scheduler.ledger import NO_FREE_SHARE, Ledger

@@ -6,11 +6,11 @@ from math import inf
 
 from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Rejection, RejectionRule
+from edgectl.model.demand import Demand
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.resource import HOST_RESOURCES, Resource
 from edgectl.model.snapshot import HostSample, Snapshot
-from edgectl.model.task import Demand
 from edgectl.names import natural_key
 from edgectl.rules.slack import compute_slack
 from edgectl.scheduler.task_usage import TaskUsage

@@ -3,9 +3,10 @@
 from dataclasses import replace
 
 from edgectl.model.assignment import DemandSource, ResourceDemand
+from edgectl.model.demand import ZERO, Demand, Quantity
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.resource import CPU, MEMORY, RESOURCES, Resource
-from edgectl.model.task import ZERO, Demand, Quantity, Task, Tasks
+from edgectl.model.task import Task, Tasks
 from edgectl.rules.measured_demand import (
     classify_host,
     estimate_demand,

@@ -4,8 +4,9 @@ from collections.abc import Iterator, Sequence
 from math import inf
 
 from edgectl.model.assignment import DemandSpread
+from edgectl.model.demand import Quantity
 from edgectl.model.resource import HOST_RESOURCES, Resource
-from edgectl.model.task import Quantity, Task, Tasks
+from edgectl.model.task import Task, Tasks
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.feasibility import find_own_robot, find_rule_against
 

@@ -6,10 +6,11 @@ from math import inf
 from typing import TYPE_CHECKING
 
 from edgectl.model.assignment import ExpectedLoad
+from edgectl.model.demand import ZERO, Quantity
 from edgectl.model.policy import Weights
 from edgectl.model.resource import CPU, HOST_RESOURCES, NETWORK, Usage
 from edgectl.model.snapshot import TaskSample
-from edgectl.model.task import ZERO, Quantity, Task
+from edgectl.model.task import Task
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.demand import demand_at
 from edgectl.scheduler.task_usage import TaskUsage, take_greater

@@ -11,8 +11,9 @@ The accounting of the scheduler is this, for greedy passes and for everything th
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
+from edgectl.model.demand import ZERO, Quantity
 from edgectl.model.resource import NETWORK, RESOURCES_BY_NAME
-from edgectl.model.task import ZERO, Quantity, Task, Tasks
+from edgectl.model.task import Task, Tasks
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.initial_state import InitialState, RunningTask
 from edgectl.scheduler.ledger import Ledger, compute_demand_usage, compute_free_share

@@ -9,9 +9,10 @@ from dataclasses import dataclass, field
 from operator import lt, sub
 from typing import Any, NamedTuple
 
+from edgectl.model.demand import ZERO, Quantity
 from edgectl.model.policy import Weights
 from edgectl.model.resource import HOST_RESOURCES, NETWORK
-from edgectl.model.task import ZERO, Quantity, Task
+from edgectl.model.task import Task
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.demand import demand_at
 from edgectl.scheduler.edge_groups import EdgeGroups, group_edges

@@ -3,12 +3,13 @@
 from math import fsum
 
 from edgectl.model.assignment import Shortage
+from edgectl.model.demand import ZERO
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
 from edgectl.model.resource import HOST_RESOURCES, Resource
 from edgectl.model.snapshot import Snapshot
-from edgectl.model.task import ZERO, OnboardRule, Task, Tasks
+from edgectl.model.task import OnboardRule, Task, Tasks
 from edgectl.scheduler.capacities import Capacities, build_capacities
 from edgectl.scheduler.demand import add_measured_demands
 from edgectl.scheduler.feasibility import find_own_robot

@@ -12,9 +12,10 @@ from edgectl.config.source import read_source
 from edgectl.config.task_file_edit import edit_demand
 from edgectl.dataclass import dataclass
 from edgectl.errors import EdgectlError, FileError
+from edgectl.model.demand import Demand, Quantity
 from edgectl.model.profile import ClassProfile
 from edgectl.model.resource import RESOURCES, TASK_RESOURCES, Resource
-from edgectl.model.task import Demand, Quantity, Task, Tasks
+from edgectl.model.task import Task, Tasks
 from edgectl.rules.measured_demand import MIN_SAMPLES, MIN_SPAN_S
 from edgectl.units import format_duration
 from edgectl.usecases.fleet import Fleet

@@ -4,10 +4,10 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from edgectl.formats.document import Document
 from edgectl.model.assignment import DemandSource, DemandSpread, ResourceDemand
+from edgectl.model.demand import Quantity
 from edgectl.model.plan import Plan
 from edgectl.model.resource import MEASURED_HOST_RESOURCES, RESOURCES, TASK_RESOURCES
 from edgectl.model.snapshot import TaskSample
-from edgectl.model.task import Quantity
 from edgectl.rules.measured_demand import MIN_SAMPLES
 from edgectl.views.glossary import head
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns

@@ -3,13 +3,14 @@
 from collections.abc import Sequence
 
 from edgectl.formats.document import Document
+from edgectl.model.check import Check
 from edgectl.model.event import Event
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Step
 from edgectl.model.resource import RESOURCES
 from edgectl.model.snapshot import Snapshot, TaskSample
-from edgectl.model.task import Check, Task, Tasks, list_node_names
+from edgectl.model.task import Task, Tasks, list_node_names
 from edgectl.units import format_bytes, format_cores, format_duration, format_instant
 from edgectl.views import metrics
 from edgectl.views.describe import Field, format_pairs, render_events_section, render_fields, render_section

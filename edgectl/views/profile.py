@@ -3,9 +3,9 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from edgectl.formats.document import Document
+from edgectl.model.demand import Quantity
 from edgectl.model.profile import ClassProfile, UsagePercentiles
 from edgectl.model.resource import TASK_RESOURCES, Resource
-from edgectl.model.task import Quantity
 from edgectl.rules.measured_demand import MIN_SAMPLES
 from edgectl.units import format_duration
 from edgectl.views.demands import encode_declared_demand

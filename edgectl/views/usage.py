@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 
+from edgectl.model.demand import Demand
 from edgectl.model.inventory import Host
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.resource import CPU, MEMORY, RESOURCES, TASK_RESOURCES
 from edgectl.model.snapshot import HostSample, LinkSample, ResourceUsage, TaskSample
-from edgectl.model.task import Demand, Task
+from edgectl.model.task import Task
 from edgectl.rules.measured_demand import (
     classify_host,
     has_enough_samples,

@@ -10,8 +10,8 @@ from edgectl.agent.link import main, protocol
 from edgectl.agent.link.errors import RefusalError
 from edgectl.executor import host_requests as requests
 from edgectl.gateway.probe_request import build_probe_request
+from edgectl.model.check import Check
 from edgectl.model.snapshot import TaskState
-from edgectl.model.task import Check
 from tests.agent.conftest import AgentHost
 from tests.builders import a_robot, a_task, an_edge, an_inventory, some_tasks
 

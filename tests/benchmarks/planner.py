@@ -9,11 +9,12 @@ from dataclasses import dataclass, replace
 
 import edgectl.scheduler.assign as planner
 from edgectl.executor.diff import plan_from_assignment
+from edgectl.model.demand import ZERO, Demand
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot
-from edgectl.model.task import ZERO, Demand, Tasks
+from edgectl.model.task import Tasks
 from tests.builders import (
     GI,
     NOW,

@@ -14,8 +14,9 @@ from edgectl.config.load import load_inventory_and_tasks
 from edgectl.config.problems import Source
 from edgectl.config.task_file_edit import YamlSpan, edit_demand, parse_spans
 from edgectl.errors import InputError
+from edgectl.model.demand import Demand, Quantity
 from edgectl.model.resource import RESOURCES
-from edgectl.model.task import Demand, Quantity, Tasks
+from edgectl.model.task import Tasks
 from edgectl.units import parse_bytes, parse_cores, parse_rate
 from tests.config.broken_files import INVENTORY
 

@@ -8,12 +8,11 @@ import pytest
 
 from edgectl.config.load import load_inventory, load_inventory_and_tasks, load_tasks
 from edgectl.errors import InputError, Problem
+from edgectl.model.check import Check, CheckLocation
+from edgectl.model.demand import Demand, Quantity
 from edgectl.model.inventory import BaseLoad, Capacity, Connection, Inventory, Limits
 from edgectl.model.policy import PolicyName, SequenceRule, Weights
 from edgectl.model.task import (
-    Check,
-    CheckLocation,
-    Demand,
     DetectRule,
     HandoffContract,
     HandoffOrder,
@@ -21,7 +20,6 @@ from edgectl.model.task import (
     Need,
     NeedCondition,
     OnboardRule,
-    Quantity,
     StopRule,
     Task,
     TaskKind,

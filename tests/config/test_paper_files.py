@@ -6,7 +6,8 @@ import pytest
 
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.errors import InputError
-from edgectl.model.task import Need, OnboardRule, Quantity
+from edgectl.model.demand import Quantity
+from edgectl.model.task import Need, OnboardRule
 
 ROOT = Path(__file__).parents[2]
 DEMANDS = {

@@ -7,9 +7,10 @@ import pytest
 
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.errors import InputError, Problem
+from edgectl.model.check import AliveRule, Check, CheckLocation, OnUnhealthy
 from edgectl.model.inventory import Inventory
 from edgectl.model.ros import RosCheck, RosSettings, RosTopic
-from edgectl.model.task import AliveRule, Check, CheckLocation, NeedRestart, OnUnhealthy, Tasks
+from edgectl.model.task import NeedRestart, Tasks
 from edgectl.rules.environment import merge_environment
 from edgectl.rules.ros import encode_ros, list_ros_packages
 

@@ -8,9 +8,10 @@ from typing import Any, Self
 import pytest
 
 from edgectl.executor.dry_run import list_dry_run_requests
+from edgectl.model.check import Check, CheckLocation
 from edgectl.model.inventory import Host
 from edgectl.model.plan import Plan
-from edgectl.model.task import Check, CheckLocation, HandoffContract, HandoffOrder
+from edgectl.model.task import HandoffContract, HandoffOrder
 from edgectl.transport.base import Reply, Session, Transport
 from edgectl.transport.fake import unpack_request
 from edgectl.usecases.apply import ApplyOptions, plan_and_apply

@@ -16,8 +16,9 @@ from typing import Any
 
 import pytest
 
+from edgectl.model.check import Check, CheckLocation
 from edgectl.model.result import ActionResult, Outcome, Phase
-from edgectl.model.task import Check, CheckLocation, HandoffContract, HandoffOrder, Task
+from edgectl.model.task import HandoffContract, HandoffOrder, Task
 from edgectl.state import failpoints
 from edgectl.state.manager_state import load_manager_state
 from edgectl.usecases.apply import ApplyOptions, plan_and_apply

@@ -13,10 +13,11 @@ import pytest
 
 from edgectl.errors import LockBusyError, StalePlanError
 from edgectl.formats.kinds import PLAN_KIND
+from edgectl.model.check import Check, CheckLocation
 from edgectl.model.plan import Action
 from edgectl.model.result import Outcome
 from edgectl.model.snapshot import TaskState
-from edgectl.model.task import Check, CheckLocation, HandoffContract, TaskKind
+from edgectl.model.task import HandoffContract, TaskKind
 from edgectl.usecases.apply import ApplyOptions, apply_saved_plan, plan_and_apply
 from edgectl.usecases.logs import read_log
 from edgectl.usecases.probe import measure_links

@@ -14,10 +14,11 @@ from pathlib import Path
 import pytest
 
 from edgectl.model.assignment import Reason
+from edgectl.model.check import AliveRule, Check
 from edgectl.model.plan import Action
 from edgectl.model.ros import RosCheck, RosSettings
 from edgectl.model.snapshot import TaskState
-from edgectl.model.task import AliveRule, Check, HostRules, Need, NeedRestart, RestartPolicy, Task
+from edgectl.model.task import HostRules, Need, NeedRestart, RestartPolicy, Task
 from edgectl.views.reasons import describe_reason
 from tests import ros1_peer
 from tests.builders import a_task, an_edge, an_inventory

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from edgectl.model.check import Check
 from edgectl.model.inventory import Connection, Inventory, Role
 from edgectl.model.plan import Action
 from edgectl.model.result import Outcome
 from edgectl.model.snapshot import HostStatus
-from edgectl.model.task import Check
 from edgectl.usecases.apply import ApplyOptions, plan_and_apply
 from edgectl.usecases.logs import follow_log
 from edgectl.usecases.stop import restart_task

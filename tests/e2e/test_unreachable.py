@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from edgectl.model.check import Check, CheckLocation
 from edgectl.model.inventory import Inventory, Role
 from edgectl.model.plan import Action, Step
 from edgectl.model.result import Phase
 from edgectl.model.snapshot import TaskState
-from edgectl.model.task import Check, CheckLocation, HandoffContract, UnreachablePolicy
+from edgectl.model.task import HandoffContract, UnreachablePolicy
 from edgectl.usecases import operator_marks
 from edgectl.views.reasons import describe_reason
 from tests.builders import an_inventory

@@ -8,9 +8,10 @@ import pytest
 from edgectl.executor.dependencies import order_by_dependencies
 from edgectl.executor.dry_run import list_dry_run_requests
 from edgectl.executor.run import RunIdentity, RunOptions, run_plan
+from edgectl.model.check import Check, CheckLocation
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action, Plan
-from edgectl.model.task import Check, CheckLocation, HandoffContract, HandoffOrder, Need, NeedCondition, Task
+from edgectl.model.task import HandoffContract, HandoffOrder, Need, NeedCondition, Task
 from edgectl.state.journal import Journal
 from edgectl.transport.fake import FakeTransport
 from tests.builders import a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks

@@ -9,10 +9,11 @@ from edgectl.executor.action_phases import DEFAULT_UP_S
 from edgectl.executor.dependencies import build_step_dependencies, list_stop_hosts
 from edgectl.executor.dry_run import list_dry_run_requests
 from edgectl.model.assignment import Decision, Reason, Verdict
+from edgectl.model.check import Check, CheckLocation
 from edgectl.model.inventory import Runtime
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy
-from edgectl.model.task import Check, CheckLocation, HandoffContract, HandoffOrder, StopRule
+from edgectl.model.task import HandoffContract, HandoffOrder, StopRule
 from edgectl.rules.environment import merge_environment
 from tests.builders import a_robot, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 

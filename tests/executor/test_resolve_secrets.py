@@ -10,8 +10,8 @@ from edgectl.errors import HostError
 from edgectl.executor import host_requests
 from edgectl.executor.secrets import resolve_environment, run_env_command
 from edgectl.gateway.probe_request import build_probe_request
+from edgectl.model.check import Check
 from edgectl.model.secret import Secret
-from edgectl.model.task import Check
 from tests.builders import a_robot, a_task, an_edge, an_inventory, some_tasks
 
 CANARY = "canary-4711"

@@ -11,13 +11,14 @@ import pytest
 from edgectl.errors import ConnectError, DeadlineError, RefusedError
 from edgectl.executor.run import RunIdentity, RunOptions, run_plan
 from edgectl.model.assignment import Decision, Reason, Verdict
+from edgectl.model.check import Check, CheckLocation
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy
 from edgectl.model.progress import ProgressEvent, ProgressStage
 from edgectl.model.result import ActionResult, Outcome, Phase, Results
 from edgectl.model.snapshot import Snapshot
-from edgectl.model.task import Check, CheckLocation, HandoffContract, HandoffOrder, Need, NeedCondition, Task
+from edgectl.model.task import HandoffContract, HandoffOrder, Need, NeedCondition, Task
 from edgectl.state.journal import Journal
 from tests.builders import a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 from tests.executor.fake_fleet import FakeFleet, FakeHost

@@ -8,8 +8,9 @@ from edgectl.config.problems import Problems
 from edgectl.errors import InputError
 from edgectl.experiments.files.experiment_file import load_experiment, load_experiment_paths
 from edgectl.experiments.model.experiment import Experiment, MapPair, MetricAggregation
+from edgectl.model.check import Check
 from edgectl.model.policy import Policy, PolicyName
-from edgectl.model.task import Check, TaskKind, Tasks
+from edgectl.model.task import TaskKind, Tasks
 from tests.builders import a_task, some_tasks
 
 TASKS: Tasks = some_tasks(

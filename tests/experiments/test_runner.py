@@ -11,10 +11,11 @@ from edgectl.errors import ConnectError, FleetBusyError, HostError, LockBusyErro
 from edgectl.experiments.model.experiment import Experiment, ExperimentRun, MapPair, TrialProgress
 from edgectl.experiments.model.schemes import Scheme
 from edgectl.experiments.runner import ExperimentOptions, run_experiment
+from edgectl.model.check import Check
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy, PolicyName
-from edgectl.model.task import Check, HandoffContract, TaskKind, Tasks
+from edgectl.model.task import HandoffContract, TaskKind, Tasks
 from edgectl.state.failpoints import install_hook
 from edgectl.state.journal import JOURNAL_FILE_NAME, Journal
 from edgectl.state.journal_reader import read_journal

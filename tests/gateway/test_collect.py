@@ -19,9 +19,10 @@ from edgectl.errors import (
 )
 from edgectl.gateway.fanout import fan_out
 from edgectl.gateway.host_probe import ProbeOptions, probe_hosts
+from edgectl.model.check import Check, CheckLocation
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.snapshot import HostSample, HostStatus, TaskState
-from edgectl.model.task import Check, CheckLocation, DetectRule, Tasks
+from edgectl.model.task import DetectRule, Tasks
 from edgectl.transport.base import Reply, Session
 from edgectl.transport.fake import FakeTransport
 from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tasks

@@ -6,10 +6,10 @@ import pickle
 import pytest
 
 from edgectl.model.assignment import UtilityTerms
+from edgectl.model.demand import Demand, Quantity
 from edgectl.model.inventory import Limits
 from edgectl.model.policy import WEIGHT_PRESETS, Weights
 from edgectl.model.resource import AFFINITY, HOST_RESOURCES, RESOURCES, RESOURCES_BY_NAME, TERMS, Usage
-from edgectl.model.task import Demand, Quantity
 
 
 def test_what_is_not_given_has_its_default() -> None:

@@ -12,20 +12,11 @@ from pathlib import Path
 import pytest
 
 from edgectl.agent.ros import graph1
+from edgectl.model.check import AliveRule, Check, OnUnhealthy
 from edgectl.model.plan import Action
 from edgectl.model.ros import RosCheck, RosSettings, RosTopic
 from edgectl.model.snapshot import TaskState
-from edgectl.model.task import (
-    AliveRule,
-    Check,
-    HostRules,
-    Need,
-    NeedRestart,
-    OnUnhealthy,
-    RestartPolicy,
-    StopRule,
-    Task,
-)
+from edgectl.model.task import HostRules, Need, NeedRestart, RestartPolicy, StopRule, Task
 from tests.builders import a_task, an_edge, an_inventory
 from tests.e2e.bench import Bench, a_local, open_bench
 from tests.e2e.test_unreachable import wait_until

@@ -11,9 +11,10 @@ import pytest
 
 from edgectl.agent.measure import proc
 from edgectl.agent.ros import registrations
+from edgectl.model.check import Check
 from edgectl.model.event import EventKind
 from edgectl.model.ros import RosCheck, RosSettings
-from edgectl.model.task import Check, RestartPolicy, StopRule, Task
+from edgectl.model.task import RestartPolicy, StopRule, Task
 from edgectl.usecases.record import list_events_after
 from tests.builders import a_task, an_edge, an_inventory
 from tests.e2e.bench import Bench, a_local, open_bench

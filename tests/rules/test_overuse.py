@@ -2,8 +2,8 @@
 
 import pytest
 
+from edgectl.model.demand import Quantity
 from edgectl.model.resource import Usage
-from edgectl.model.task import Quantity
 from edgectl.rules.overuse import find_overuses
 from tests.builders import (
     NOW,

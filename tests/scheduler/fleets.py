@@ -4,12 +4,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from edgectl.model.assignment import Assignment, Decision, ExpectedLoad, RankedHost, Reason, Verdict
+from edgectl.model.demand import ZERO
 from edgectl.model.inventory import Inventory, Role
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy
 from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
-from edgectl.model.task import ZERO, Task, Tasks
+from edgectl.model.task import Task, Tasks
 from edgectl.scheduler.assign import assign
 from edgectl.scheduler.capacities import build_capacities
 from edgectl.scheduler.demand import add_measured_demands, demand_at

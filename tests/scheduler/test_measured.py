@@ -6,9 +6,10 @@ from dataclasses import replace
 import pytest
 
 from edgectl.model.assignment import DemandSource, ResourceDemand
+from edgectl.model.demand import Demand, Quantity
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.resource import CPU, MEMORY, NETWORK, TASK_RESOURCES
-from edgectl.model.task import Demand, Quantity, Tasks
+from edgectl.model.task import Tasks
 from tests.builders import (
     GI,
     a_link,

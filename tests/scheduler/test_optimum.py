@@ -9,12 +9,13 @@ import pytest
 
 from edgectl.executor.diff import diff_assignment
 from edgectl.model.assignment import Assignment, Certificate, Reason
+from edgectl.model.demand import ZERO
 from edgectl.model.manager_state import Placement
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy
 from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostSample
-from edgectl.model.task import ZERO, Task
+from edgectl.model.task import Task
 from edgectl.scheduler.assign import assign
 from edgectl.scheduler.integer_program import IntegerProgram, Solution
 from edgectl.solver.highs import make_solver, solve_program

@@ -9,12 +9,13 @@ import pytest
 
 from edgectl.executor.diff import diff_assignment
 from edgectl.model.assignment import Assignment, Reason, RejectionRule, Verdict
+from edgectl.model.demand import ZERO
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy, PolicyName, Preference
 from edgectl.model.resource import Usage
 from edgectl.model.snapshot import Snapshot
-from edgectl.model.task import ZERO, Need, NeedCondition, Task, join_units
+from edgectl.model.task import Need, NeedCondition, Task, join_units
 from edgectl.views.reasons import describe_reason
 from tests.builders import NOW, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 from tests.scheduler.fleets import (

@@ -7,12 +7,13 @@ import pytest
 
 from edgectl.executor.diff import diff_assignment
 from edgectl.model.assignment import Assignment, Reason, Verdict
+from edgectl.model.demand import ZERO
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy
 from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostSample, Snapshot
-from edgectl.model.task import ZERO, Task, Tasks
+from edgectl.model.task import Task, Tasks
 from edgectl.scheduler.packing import Item, Packing, place_item
 from tests.builders import (
     NOW,

@@ -6,10 +6,11 @@ from pathlib import Path
 import pytest
 
 from edgectl.errors import HostError, UsageError
+from edgectl.model.check import Check, CheckLocation
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy
 from edgectl.model.result import Outcome
-from edgectl.model.task import Check, CheckLocation, HandoffContract
+from edgectl.model.task import HandoffContract
 from edgectl.state.manager_state import load_manager_state
 from edgectl.usecases import operator_marks
 from edgectl.usecases.apply import ApplyOptions, plan_and_apply

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from edgectl.errors import HostError, UsageError
+from edgectl.model.check import Check
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy
 from edgectl.model.result import Outcome, Phase
 from edgectl.model.revision import Revision, RevisionOutcome
-from edgectl.model.task import Check
 from edgectl.state import failpoints
 from edgectl.state.journal import Journal
 from edgectl.state.revisions import load_revisions

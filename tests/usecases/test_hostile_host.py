@@ -8,9 +8,10 @@ from typing import Any
 import pytest
 
 from edgectl.gateway.task_lookup import find_doubled_instances, find_task_host
+from edgectl.model.check import Check
 from edgectl.model.policy import Policy
 from edgectl.model.result import Outcome
-from edgectl.model.task import Check, HostRules
+from edgectl.model.task import HostRules
 from edgectl.transport.fake import FakeTransport
 from edgectl.transport.fleet_lease import FleetLease
 from edgectl.usecases.apply import plan_and_apply

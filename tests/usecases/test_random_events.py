@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from edgectl.model.check import Check, CheckLocation
 from edgectl.model.policy import Policy
-from edgectl.model.task import Check, CheckLocation, DetectRule, HandoffContract, Task
+from edgectl.model.task import DetectRule, HandoffContract, Task
 from edgectl.state import failpoints
 from edgectl.usecases import operator_marks
 from edgectl.usecases.apply import ApplyOptions, plan_and_apply

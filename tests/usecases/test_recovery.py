@@ -16,8 +16,9 @@ from pathlib import Path
 import pytest
 
 from edgectl.errors import ConnectError, RefusedError
+from edgectl.model.check import Check, CheckLocation
 from edgectl.model.policy import Policy
-from edgectl.model.task import Check, CheckLocation, HandoffContract, HandoffOrder, Task, Tasks
+from edgectl.model.task import HandoffContract, HandoffOrder, Task, Tasks
 from edgectl.state import failpoints
 from edgectl.state.journal_reader import read_journal
 from edgectl.transport.fake import FakeTransport

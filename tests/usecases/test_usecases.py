@@ -7,11 +7,12 @@ import pytest
 
 from edgectl.errors import LockBusyError, StalePlanError, UnansweredError, UsageError
 from edgectl.formats.kinds import PLAN_KIND
+from edgectl.model.check import Check
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action, Plan
 from edgectl.model.policy import Policy
 from edgectl.model.result import Outcome
-from edgectl.model.task import Check, TaskKind, Tasks
+from edgectl.model.task import TaskKind, Tasks
 from edgectl.state import failpoints
 from edgectl.state.journal_reader import read_journal
 from edgectl.state.lock import FleetLock

@@ -5,12 +5,12 @@ from dataclasses import replace
 import pytest
 
 from edgectl.executor.diff import plan_from_assignment
+from edgectl.model.demand import Quantity
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy
 from edgectl.model.profile import ClassProfile, UsagePercentiles, UsageProfile
 from edgectl.model.resource import Usage
-from edgectl.model.task import Quantity
 from edgectl.scheduler.assign import assign
 from edgectl.views.demands import render_demands, render_reservations
 from edgectl.views.output import render_view

@@ -6,6 +6,8 @@ from dataclasses import replace
 import pytest
 import yaml
 
+from edgectl.model.check import Check, CheckLocation
+from edgectl.model.demand import Demand, Quantity
 from edgectl.model.event import Event, EventKind
 from edgectl.model.inventory import Capacity
 from edgectl.model.manager_state import ManagerState, Placement
@@ -21,7 +23,7 @@ from edgectl.model.snapshot import (
     Snapshot,
     TaskState,
 )
-from edgectl.model.task import Check, CheckLocation, Demand, HandoffContract, Need, NeedCondition, Quantity
+from edgectl.model.task import HandoffContract, Need, NeedCondition
 from edgectl.views.describe_host import HostDetailsView
 from edgectl.views.describe_task import TaskDetailsView
 from edgectl.views.output import render_view

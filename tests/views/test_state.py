@@ -4,9 +4,9 @@ from dataclasses import replace
 
 from edgectl.cli.exit_codes import of_status
 from edgectl.errors import ExitCode
+from edgectl.model.check import AliveRule, Check
 from edgectl.model.ros import RosCheck
 from edgectl.model.snapshot import TaskState
-from edgectl.model.task import AliveRule, Check
 from edgectl.views.describe_task import TaskDetailsView
 from edgectl.views.output_format import OutputFormat
 from edgectl.views.state import format_task_state

@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import yaml
 
+from edgectl.model.check import Check
+from edgectl.model.demand import Demand, Quantity
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.point import HostPoint, TaskPoint
 from edgectl.model.resource import Usage
 from edgectl.model.snapshot import DeviceSample, HostStatus, InterfaceSample, Snapshot, TaskState
-from edgectl.model.task import Check, Demand, Quantity
 from edgectl.views.output import render_view
 from edgectl.views.output_format import OutputFormat
 from edgectl.views.text import RenderOptions
