@@ -38,6 +38,7 @@ COMMANDS = {
     "top tasks": CommandEntry(
         "cli.top", "Inspect", "Show resource usage of tasks against their demand, now and lately."
     ),
+    "wait": CommandEntry("cli.wait", "Inspect", "Wait until tasks are ready, completed or gone."),
     "logs": CommandEntry("cli.status", "Inspect", "Print the logs of a task."),
     "events": CommandEntry("cli.events", "Inspect", "List recent events."),
     "explain": CommandEntry("cli.explain", "Inspect", "Explain a placement and what would change it."),

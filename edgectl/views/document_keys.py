@@ -58,6 +58,7 @@ LIST_KEYS: KeysByName = {
         "scheme", "policy", "move_margin", "cycles", "handoffs", "unplaced", "unsettled", "assumed",
         "utilisation",
     ),
+    "awaited-task": ("task", "awaited", "reached", "state", "host"),
     "byte-counter": ("host", "counters", "tasks_counted", "robot_counters", "error", "hint"),
     "request": ("host", "phase", "task", "command", "stdin"),
     "revision": _REVISION,

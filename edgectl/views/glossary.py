@@ -108,6 +108,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "action": "action: start, stop, move, restart, adopt, keep, hold, complete, defer, unplaced, none",
         "address": "address of a host in the inventory",
         "attention": "reason why an operator should look at a task; null: none",
+        "awaited": "state that is waited for: ready, completed or gone",
         "boot_id": "identity of the boot of a host",
         "capacity_source": "source of the capacity of a link: declared, measured, nic or assumed; "
         "live: tcp, probe or radio",
@@ -258,6 +259,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "ok": "whether a phase succeeded",
         "onboard": "whether a robot is a candidate for its own tasks",
         "paused": "whether a watch is paused",
+        "reached": "whether a task has come as far as is waited for",
         "relative": "whether an amount is a share of the capacity",
         "counted": "whether each address of a robot has a byte counter",
         "resident": "whether a resident profiler took the sample",

@@ -15,6 +15,7 @@ from edgectl.experiments.views.replay import ReplayView
 from edgectl.formats.document import Document
 from edgectl.model.cycle import Cycle
 from edgectl.model.resource import RESOURCES
+from edgectl.rules.awaited_state import AwaitedState, TaskProgress
 from edgectl.views.byte_counters import ByteCountersView
 from edgectl.views.diagnosis import DiagnosisView
 from edgectl.views.dry_run import RequestsView
@@ -29,6 +30,7 @@ from edgectl.views.profile import ProfileView
 from edgectl.views.profilers import ProfilersView
 from edgectl.views.results import DrainView
 from edgectl.views.status import StatusView
+from edgectl.views.wait import WaitView
 from edgectl.views.watch_cycle import CycleView
 from tests.builders import NOW
 from tests.experiments import test_experiment_view, test_simulation_and_replay_views
@@ -78,6 +80,7 @@ def list_views() -> Iterator[View]:
     yield test_simulation_and_replay_views.VIEW
     yield ReplayView(results=[test_simulation_and_replay_views.REPLAYED])
     yield MapScoreView(0.5)
+    yield WaitView([TaskProgress(task="slam", reached=True, state="ready", host="edge1")], AwaitedState.READY)
 
 
 VIEWS = list(list_views())
