@@ -64,7 +64,7 @@ COMMANDS = {
     "reopen": CommandEntry(
         "cli.operator_marks", "Operate", "Make completed or failed tasks schedulable again."
     ),
-    "trust": CommandEntry("cli.operator_marks", "Operate", "Record the SSH host key of a host."),
+    "trust": CommandEntry("cli.trust", "Operate", "Record the SSH host keys of hosts."),
     "doctor": CommandEntry("cli.doctor", "Operate", "Diagnose hosts, links and configuration."),
     "profilers start": CommandEntry("cli.profilers", "Operate", "Start resident profilers on the hosts."),
     "profilers status": CommandEntry("cli.profilers", "Operate", "Show resident profilers and their cost."),

@@ -48,6 +48,7 @@ LIST_KEYS: KeysByName = {
     "event": _EVENT,
     "finding": ("host", "check", "level", "message", "hint"),
     "host-usage": (*_HOST, "history"),
+    "host-key": ("host", "key_type", "fingerprint", "state", "error", "hint"),
     "link": _LINK,
     "profile": ("task", "class", "host_names", "samples", "span_s", "enough", "resources"),
     "profiler": (
