@@ -13,7 +13,7 @@ from edgectl.scheduler.candidates import AssignmentContext, list_allowed_places
 from edgectl.scheduler.choice import Choice
 from edgectl.scheduler.initial_state import InitialState
 from edgectl.scheduler.ledger import Ledger, compute_demand_usage
-from edgectl.scheduler.packing import Item, Packing, Shares, combine_items
+from edgectl.scheduler.packing import Item, Packing, Shares, ShareTable, combine_items
 from edgectl.scheduler.placement_rules import OccupancyLimit
 from edgectl.scheduler.rebalance import rebalance_packing
 from edgectl.scheduler.sequence import is_need_met
@@ -135,7 +135,7 @@ def build_item(
         name=task.name,
         tasks=(task.name,),
         places=places if not mates or place is not None else [each for each in places if each == mates[0]],
-        measure=_build_measure(plan, columns, task),
+        shares=_build_share_table(plan, columns, task),
         priority=task.priority,
         runs=runs,
         movable=task.hosts.pin is None and not held and not mates,
@@ -175,28 +175,23 @@ def list_link_columns(plan: DecidedPlan) -> dict[str, int]:
     return {robot: len(HOST_RESOURCES) + index for index, robot in enumerate(plan.ledger.free_links)}
 
 
-def _build_measure(plan: DecidedPlan, columns: Mapping[str, int], task: Task) -> Callable[[int], Shares]:
+def _build_share_table(plan: DecidedPlan, columns: Mapping[str, int], task: Task) -> ShareTable:
     """Load / Delta of ``task`` by place, each computed once: from the rows of the scan where they exist, as
     fleets of few hosts have them.
     """
     fleet = plan.context.fleet
     rows = _list_share_rows(plan, columns, task)
     capacities = [*fleet.usable.values(), *(fleet.links[robot] for robot in task.robots if rows)]
+    complete = all(all(row[: fleet.edges]) for row in capacities)
     here = plan.placed[task.name][0] if task.name in plan.placed else None
-    known: dict[int, Shares] = {}
 
     def measure(place: int) -> Shares:
-        found = known.get(place)
-        if found is None:
-            exact = not rows or place == here or place >= fleet.edges
-            if exact or not all(row[place] for row in capacities):
-                found = _measure_shares(plan, columns, task, place)
-            else:
-                found = {column: row[place] for column, row in rows.items()}
-            known[place] = found
-        return found
+        exact = not rows or place == here or place >= fleet.edges
+        if exact or not (complete or all(row[place] for row in capacities)):
+            return _measure_shares(plan, columns, task, place)
+        return {column: row[place] for column, row in rows.items()}
 
-    return measure
+    return ShareTable(measure)
 
 
 def _list_share_rows(plan: DecidedPlan, columns: Mapping[str, int], task: Task) -> dict[int, Sequence[float]]:

@@ -179,14 +179,14 @@ def build_problem(
     most = max(wanted, default=-inf)
     free = [row.copy() for row in packing.free]
     for name, place in packing.at.items():
-        _add_shares(free[place], packing.measure(packing.items[name], place), 1.0)
+        _add_shares(free[place], packing.items[name].shares[place], 1.0)
     limits = [row.copy() for row in free]
     for known in (packing.at, places):
         left = [row.copy() for row in free]
         for name, place in known.items():
             if name not in packing.items:
                 continue
-            _add_shares(left[place], packing.measure(packing.items[name], place), -1.0)
+            _add_shares(left[place], packing.items[name].shares[place], -1.0)
         for row, mine, others in zip(limits, left, free, strict=True):
             row[:] = [max(a, whole - rest) for a, rest, whole in zip(row, mine, others, strict=True)]
     items = [_build_item(plain, packing, task, links, limits, places, most) for task in tasks.values()]
@@ -226,9 +226,9 @@ def _build_item(
     known = {place for place in (packing.at.get(task.name), places.get(task.name)) if place is not None}
     allowed = known if fixed else known | set(item.places)
     shares = {
-        place: packing.measure(item, place)
+        place: item.shares[place]
         for place in sorted(allowed)
-        if place in known or _fits_alone(packing.measure(item, place), limits[place])
+        if place in known or _fits_alone(item.shares[place], limits[place])
     }
     return PlacementItem(
         name=task.name,

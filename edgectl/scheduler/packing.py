@@ -1,16 +1,13 @@
-"""Search for a place of one more task among tasks that may make room (ADR 64). Pure and deterministic.
+"""Items at places, and what is free beside them. Pure and deterministic.
 
 Works on shares of capacity: ``free`` holds one row per place, one column per resource of hosts and per link.
 An item fits where no column that it touches falls below 0. All columns of the host are touched, also with a
 demand of 0: nothing is added to a host that is overcommitted already.
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import field, replace
-from functools import cache
-from math import comb, inf
-from operator import ge, itemgetter, sub
-from typing import NamedTuple
+from math import inf
 
 from edgectl.dataclass import dataclass
 from edgectl.scheduler.placement_rules import OccupancyLimit
@@ -18,27 +15,39 @@ from edgectl.scheduler.utility import EPSILON
 
 # Share of the capacity by column.
 Shares = Mapping[int, float]
-# Tasks that give way to one insertion, and insertions that are tried for one task at each level.
-MAX_EJECTED, MAX_STEPS = 3, 400
-# Tasks that give way in one chain; in the ejection pool longer ones cost more than they find.
-MAX_CHAIN, POOL_CHAIN = 9, 1
-# Relocations by chance after an ejection: they keep the search from going round in a circle.
-SHAKES = 8
+# What must be left of a column: 0, but for rounding.
+_LEAST_LEFT = -EPSILON
+
+
+class ShareTable(dict[int, Shares]):
+    """The shares of a task by place, each measured when it is first read.
+
+    A dict, because a search reads them thousands of times.
+    """
+
+    __slots__ = ("measure",)
+
+    def __init__(self, measure: Callable[[int], Shares]) -> None:
+        self.measure = measure
+
+    def __missing__(self, place: int) -> Shares:
+        found = self[place] = self.measure(place)
+        return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Item:
     """One task of the search, or several that share a place (``tasks``).
 
-    ``places``: those that may take it, in order. ``measure`` gives its shares at one of them. ``runs``: its
-    move would be a handoff. ``movable``: it may make room. ``evictable``: it may be left without a place for
-    one of higher priority that preempts. ``limits``: of the items that may be beside it.
+    ``places``: those that may take it, in order; ``shares`` at each of them, and at the one where it is.
+    ``runs``: its move would be a handoff. ``movable``: it may make room. ``evictable``: it may be left
+    without a place for one of higher priority that preempts. ``limits``: of the items that may be beside it.
     """
 
     name: str
     tasks: tuple[str, ...]
     places: Sequence[int]
-    measure: Callable[[int], Shares]
+    shares: Mapping[int, Shares]
     priority: float = 0.0
     runs: bool = False
     movable: bool = True
@@ -55,7 +64,7 @@ def combine_items(name: str, items: Sequence[Item]) -> Item:
         name=name,
         tasks=tuple(task for item in items for task in item.tasks),
         places=[place for place in first.places if all(place in item.places for item in rest)],
-        measure=cache(lambda place: _add_shares([item.measure(place) for item in items])),
+        shares=ShareTable(lambda place: _add_shares([item.shares[place] for item in items])),
         priority=max(item.priority for item in items),
         runs=any(item.runs for item in items),
         movable=all(item.movable for item in items),
@@ -75,9 +84,10 @@ def _add_shares(parts: Sequence[Shares]) -> Shares:
 class Packing:
     """Items at their places, and what is free beside them.
 
-    ``work``: looks at one item at one place that are left; the search ends when they are used up. ``tight``:
-    fill places up instead of sharing out what is free. ``moves_left``: running items that may leave their
-    ``home``; None: any number. ``fixed``: places of what is no item, but counts for limits.
+    ``charged``: the shares of each item at its place. ``work``: looks at one item at one place that are left;
+    the search ends when they are used up. ``tight``: fill places up instead of sharing out what is free.
+    ``moves_left``: running items that may leave their ``home``; None: any number. ``fixed``: places of what
+    is no item, but counts for limits.
     """
 
     free: list[list[float]]
@@ -90,25 +100,26 @@ class Packing:
     tight: bool = False
     fixed: Mapping[str, int] = field(default_factory=dict)
     chance: int = 1
+    charged: dict[str, Shares] = field(init=False)
 
-    def measure(self, item: Item, place: int) -> Shares:
-        """The shares of ``item`` at ``place``."""
-        return item.measure(place)
+    def __post_init__(self) -> None:
+        self.charged = {name: self.items[name].shares[place] for name, place in self.at.items()}
 
     def put(self, item: Item, place: int) -> None:
         """Charge ``item`` to ``place``."""
-        row = self.free[place]
-        for column, share in self.measure(item, place).items():
+        row, shares = self.free[place], item.shares[place]
+        for column, share in shares.items():
             row[column] -= share
         self.items[item.name] = item
         self.at[item.name] = place
+        self.charged[item.name] = shares
         self.on[place].append(item.name)
 
     def take(self, item: Item) -> int:
         """Release ``item``; returns the place where it was."""
         place = self.at.pop(item.name)
         row = self.free[place]
-        for column, share in self.measure(item, place).items():
+        for column, share in self.charged.pop(item.name).items():
             row[column] += share
         self.on[place].remove(item.name)
         return place
@@ -119,124 +130,76 @@ class Packing:
         return (self.chance >> 8) % below
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Permission:
-    """Which items may make room for an item of ``priority``."""
-
-    priority: float
-    running: bool
-    above: bool = False
-
-    def allows(self, item: Item) -> bool:
-        """Whether ``item`` may be put elsewhere. No running item gives way to one of lower priority."""
-        if not item.movable or (item.runs and not self.running):
-            return False
-        return item.priority <= self.priority or (self.above and not item.runs)
-
-
-def place_item(packing: Packing, item: Item) -> bool:
-    """Place ``item`` and keep all others placed; False, with everything as it was, where no way is found.
-
-    First where it fits; then with tasks put elsewhere that this plan starts, then also with running ones,
-    last also with tasks of higher priority that this plan starts.
-    """
-    if _insert(packing, item):
-        return True
-    levels = _list_movable(packing, item)
-    if any(_shift_chain(packing, item, movable, longest=1) for movable in levels):
-        return True
-    if any(_shift_chain(packing, item, movable) for movable in levels):
-        return True
-    work = packing.work
-    for packing.tight in (False, True):
-        packing.work = work // 2
-        if any(_empty_pool(packing, item, movable) for movable in levels):
-            break
-    packing.tight = False
-    return item.name in packing.at
-
-
-def _list_movable(packing: Packing, item: Item) -> list[frozenset[str]]:
-    """The items that may make room for ``item``, by level; only levels that allow more than those before."""
-    levels = (
-        Permission(priority=item.priority, running=False),
-        Permission(priority=item.priority, running=True),
-        Permission(priority=item.priority, running=True, above=True),
-    )
-    others = [packing.items[name] for name in packing.at]
-    found: list[frozenset[str]] = []
-    for level in levels:
-        names = frozenset(other.name for other in (*others, item) if level.allows(other))
-        if len(names) > (len(found[-1]) if found else 0):
-            found.append(names)
-    return found
-
-
-def preempt_for_item(packing: Packing, item: Item) -> bool:
-    """Place ``item`` instead of items of lower priority: of the least, then the fewest.
-
-    They are put elsewhere where they fit, else left without a place.
-    """
-    best: tuple[tuple[float, int, int], int, list[Item]] | None = None
+def find_place(packing: Packing, item: Item, besides: Collection[int] = ()) -> int | None:
+    """Where the most is left (``tight``: the least), of what will be scarcest there; None: nowhere."""
+    best, most = None, -inf
+    free, shares = packing.free, item.shares
     for place in item.places:
-        for victims in _list_ejections(packing, item, place, _list_victims(packing, item, place)):
-            cost = max(v.priority for v in victims), len(victims), sum(v.runs for v in victims)
-            if best is None or cost < best[0]:
-                best = cost, place, victims
-    if best is None:
-        return False
-    _, place, victims = best
-    for victim in victims:
-        packing.take(victim)
-    packing.put(item, place)
-    for victim in sorted(victims, key=lambda victim: -victim.priority):
-        if victim.movable and _has_budget(packing, [victim]):
-            place_item(packing, victim)
-    return True
+        if place in besides:
+            continue
+        packing.work -= 1
+        row = free[place]
+        for column, share in shares[place].items():
+            if row[column] - share < _LEAST_LEFT:
+                break
+        else:
+            value = _value_place(packing, item, place)
+            if value > most and not (item.limits and list_conflicts(packing, item, place)):
+                best, most = place, value
+    return best
 
 
-def _list_victims(packing: Packing, item: Item, place: int) -> list[Item]:
-    others = (packing.items[name] for name in packing.on[place])
-    return [other for other in others if other.evictable and other.priority < item.priority]
+def _value_place(packing: Packing, item: Item, place: int) -> float:
+    row = packing.free[place]
+    left = [row[column] - share for column, share in item.shares[place].items()]
+    if not packing.tight:
+        return min(left, default=inf)
+    total = 0.0
+    for each in left:
+        total += each
+    return -total
 
 
-def restore_homes(packing: Packing) -> None:
-    """Put items back to their homes where they fit again, running ones first."""
-    away = [name for name, home in packing.home.items() if packing.at.get(name, home) != home]
-    for name in sorted(away, key=lambda name: not packing.items[name].runs):
-        item, home = packing.items[name], packing.home[name]
-        place = packing.take(item)
-        packing.put(item, home if fits(packing, item, home) else place)
+def insert_item(packing: Packing, item: Item) -> bool:
+    """Put ``item`` where it fits best; False where it fits nowhere."""
+    place = find_place(packing, item)
+    if place is not None:
+        packing.put(item, place)
+    return place is not None
 
 
 def fits(packing: Packing, item: Item, place: int) -> bool:
     """Whether ``item`` has room at ``place``, and may be beside what is there."""
     packing.work -= 1
     row = packing.free[place]
-    for column, share in item.measure(place).items():
-        if row[column] - share < -EPSILON:
+    for column, share in item.shares[place].items():
+        if row[column] - share < _LEAST_LEFT:
             return False
-    return not item.limits or not _list_conflicts(packing, item, place)
+    return not item.limits or not list_conflicts(packing, item, place)
 
 
-def extend_item(packing: Packing, item: Item) -> bool:
-    """Replace the item of the same name by the larger ``item``: at its place if others can make room there,
-    else elsewhere if it may leave.
-    """
-    old, place = packing.items[item.name], packing.at[item.name]
-    may_go = may_leave(packing, old)
-    packing.take(old)
-    stays = place in item.places and place_item(packing, replace(item, places=(place,)))
-    if stays or (may_go and place_item(packing, item)):
-        packing.items[item.name] = item
-        return True
-    packing.put(old, place)
-    return False
+def list_lacks(packing: Packing, item: Item, place: int) -> list[tuple[int, float]]:
+    """The columns in which ``item`` has no room at ``place``, and the least that must be released there."""
+    row = packing.free[place]
+    return [
+        (column, lack - EPSILON)
+        for column, share in item.shares[place].items()
+        if (lack := share - row[column]) > EPSILON
+    ]
 
 
-def may_leave(packing: Packing, item: Item) -> bool:
-    """Whether ``item`` may be put elsewhere than it is."""
-    return item.movable and _has_budget(packing, [item])
+def list_conflicts(packing: Packing, item: Item, place: int) -> list[tuple[int, frozenset[str]]]:
+    """How many must leave the domain of ``place`` for ``item``, and of which, for each limit."""
+    if not item.limits:
+        return []
+    located = {**packing.fixed, **packing.at} if packing.fixed else packing.at
+    found = (limit.find_excess(item.name, place, located) for limit in item.limits)
+    return [(excess, frozenset(there)) for excess, there in found if excess > 0]
+
+
+def solves(names: Collection[str], conflicts: Sequence[tuple[int, frozenset[str]]]) -> bool:
+    """Whether the items ``names`` are enough to leave."""
+    return all(len(there.intersection(names)) >= excess for excess, there in conflicts)
 
 
 def keeps_limits(packing: Packing, goals: Mapping[str, int]) -> bool:
@@ -251,146 +214,12 @@ def keeps_limits(packing: Packing, goals: Mapping[str, int]) -> bool:
     )
 
 
-def _list_conflicts(packing: Packing, item: Item, place: int) -> list[tuple[int, frozenset[str]]]:
-    """How many must leave the domain of ``place`` for ``item``, and of which, for each limit."""
-    if not item.limits:
-        return []
-    located = {**packing.fixed, **packing.at} if packing.fixed else packing.at
-    found = (limit.find_excess(item.name, place, located) for limit in item.limits)
-    return [(excess, frozenset(there)) for excess, there in found if excess > 0]
+def may_leave(packing: Packing, item: Item) -> bool:
+    """Whether ``item`` may be put elsewhere than it is."""
+    return item.movable and has_budget(packing, [item])
 
 
-def _solves(names: Collection[str], conflicts: Sequence[tuple[int, frozenset[str]]]) -> bool:
-    """Whether the items ``names`` are enough to leave."""
-    return all(len(there.intersection(names)) >= excess for excess, there in conflicts)
-
-
-def _insert(packing: Packing, item: Item) -> bool:
-    place = _find_place(packing, item)
-    if place is not None:
-        packing.put(item, place)
-    return place is not None
-
-
-def _find_place(packing: Packing, item: Item, besides: Collection[int] = ()) -> int | None:
-    """Where the most is left (``tight``: the least), of what will be scarcest there; None: nowhere."""
-    best, most = None, -inf
-    for place in item.places:
-        if place in besides:
-            continue
-        packing.work -= 1
-        row = packing.free[place]
-        least, total = inf, 0.0
-        for column, share in item.measure(place).items():
-            left = row[column] - share
-            if left < -EPSILON:
-                break
-            least = left if left < least else least
-            total += left
-        else:
-            value = -total if packing.tight else least
-            if value > most and not _list_conflicts(packing, item, place):
-                best, most = place, value
-    return best
-
-
-class _Link(NamedTuple):
-    """One item of a chain: it leaves ``place`` to the item at index ``before``; ``left``: all places left so
-    far.
-    """
-
-    item: Item
-    place: int
-    before: int
-    left: tuple[int, ...]
-
-
-def _shift_chain(packing: Packing, item: Item, movable: Collection[str], longest: int = MAX_CHAIN) -> bool:
-    """Put ``item`` where one other gives way, which goes where a further one gives way, and so on until one
-    fits somewhere: the shortest such chain, of at most ``longest`` others.
-    """
-    chain = [_Link(item, -1, -1, ())]
-    seen = {item.name}
-    for index, link in enumerate(chain):  # which grows
-        if packing.work <= 0 or len(link.left) >= longest:
-            return False
-        for place in link.item.places:
-            if place in link.left:
-                continue
-            for other in _list_giving_way(packing, link.item, place, movable, seen):
-                seen.add(other.name)
-                step = _Link(other, place, index, (*link.left, place))
-                goal = _find_place(packing, other, step.left)
-                if goal is not None and _shift(packing, chain, step, goal):
-                    return True
-                chain.append(step)
-    return False
-
-
-def _list_giving_way(
-    packing: Packing, item: Item, place: int, movable: Collection[str], besides: Collection[str]
-) -> Iterator[Item]:
-    """Items at ``place`` of which each alone makes room for ``item`` there by leaving."""
-    lacking = _find_lacking(packing, item, place)
-    conflicts = _list_conflicts(packing, item, place)
-    for name in packing.on[place]:
-        if name not in movable or name in besides:
-            continue
-        other = packing.items[name]
-        released = other.measure(place)
-        for column, need in lacking.items():
-            if released.get(column, 0.0) < need - EPSILON:
-                break
-        else:
-            if not conflicts or _solves([name], conflicts):
-                yield other
-
-
-def _shift(packing: Packing, chain: Sequence[_Link], last: _Link, goal: int) -> bool:
-    """Put the last item of a chain to ``goal`` and each before it where the next one was; False, with
-    everything as it was, where the budget or a limit forbids it.
-    """
-    steps = [last]
-    while steps[-1].before > 0:
-        steps.append(chain[steps[-1].before])
-    if not _has_budget(packing, [step.item for step in steps]):
-        return False
-    for done, step in enumerate(steps):
-        packing.take(step.item)
-        if not fits(packing, step.item, goal):
-            packing.put(step.item, step.place)
-            for other in reversed(steps[:done]):
-                packing.take(other.item)
-                packing.put(other.item, other.place)
-            return False
-        packing.put(step.item, goal)
-        goal = step.place
-    first = chain[0].item
-    if fits(packing, first, goal):
-        packing.put(first, goal)
-        return True
-    for other in reversed(steps):
-        packing.take(other.item)
-        packing.put(other.item, other.place)
-    return False
-
-
-def _find_lacking(packing: Packing, item: Item, place: int) -> Shares:
-    """What ``item`` lacks at ``place``, by column."""
-    packing.work -= 1
-    row = packing.free[place]
-    return {
-        column: lack
-        for column, share in item.measure(place).items()
-        if (lack := share - row[column]) > EPSILON
-    }
-
-
-def _list_movable_at(packing: Packing, place: int, movable: Collection[str]) -> list[Item]:
-    return [packing.items[name] for name in packing.on[place] if name in movable]
-
-
-def _has_budget(packing: Packing, leaving: Iterable[Item]) -> bool:
+def has_budget(packing: Packing, leaving: Iterable[Item]) -> bool:
     """Whether the running items ``leaving`` may leave their homes, besides those that have."""
     if packing.moves_left is None:
         return True
@@ -403,120 +232,10 @@ def _has_budget(packing: Packing, leaving: Iterable[Item]) -> bool:
     return len(gone) <= packing.moves_left
 
 
-def _empty_pool(packing: Packing, item: Item, movable: Collection[str]) -> bool:
-    """Insert ``item``, and again and again those that were ejected for it, the hardest to place last."""
-    before = dict(packing.at), [row.copy() for row in packing.free], [names.copy() for names in packing.on]
-    shaken = [name for name in packing.at if name in movable and _may_shake(packing, packing.items[name])]
-    penalties: dict[str, int] = {}
-    pool = [item]
-    for _ in range(MAX_STEPS):
-        if not pool:
-            return True
-        if packing.work <= 0:
-            break
-        current = pool.pop()
-        if _insert(packing, current) or _shift_chain(packing, current, movable, longest=POOL_CHAIN):
-            continue
-        penalties[current.name] = penalties.get(current.name, 1) + 1
-        found = _find_ejection(packing, current, movable, penalties)
-        if found is None:
-            pool.append(current)
-            break
-        place, ejected = found
-        for other in ejected:
-            packing.take(other)
-        packing.put(current, place)
-        pool += ejected
-        _shake(packing, shaken)
-    if not pool:
-        return True
-    packing.at, packing.free, packing.on = before
-    return False
-
-
-def _may_shake(packing: Packing, item: Item) -> bool:
-    return len(item.places) > 1 and (packing.moves_left is None or not item.runs)
-
-
-def _find_ejection(
-    packing: Packing, item: Item, movable: Collection[str], penalties: Mapping[str, int]
-) -> tuple[int, list[Item]] | None:
-    """The place and the at most three items that give way there with the least sum of penalties."""
-    best: tuple[int, int, int, list[Item]] | None = None
-    for place in item.places:
-        for ejected in _list_ejections(packing, item, place, _list_movable_at(packing, place, movable)):
-            cost = sum([penalties.get(other.name, 1) for other in ejected])
-            if (best is None or cost <= best[0]) and _has_budget(packing, ejected):
-                candidate = (cost, packing.draw(1000), place, ejected)
-                best = candidate if best is None else min(best, candidate, key=itemgetter(0, 1))
-    return _find_large_ejection(packing, item, movable, penalties) if best is None else (best[2], best[3])
-
-
-def _find_large_ejection(
-    packing: Packing, item: Item, movable: Collection[str], penalties: Mapping[str, int]
-) -> tuple[int, list[Item]] | None:
-    """As ``_find_ejection``, for an item that more must give way to: the least penalised first."""
-    best: tuple[int, int, list[Item]] | None = None
-    for place in item.places:
-        others = _list_movable_at(packing, place, movable)
-        conflicting = set().union(*(there for _, there in _list_conflicts(packing, item, place)))
-        others.sort(key=lambda other: (other.name not in conflicting, penalties.get(other.name, 1)))
-        ejected: list[Item] = []
-        while others and not fits(packing, item, place):
-            ejected.append(others.pop(0))
-            packing.take(ejected[-1])
-        has_room = fits(packing, item, place)
-        for other in ejected:
-            packing.put(other, place)
-        cost = sum(penalties.get(other.name, 1) for other in ejected)
-        if has_room and (best is None or cost < best[0]) and _has_budget(packing, ejected):
-            best = cost, place, ejected
-    return None if best is None else best[1:]
-
-
-def _list_ejections(packing: Packing, item: Item, place: int, others: Sequence[Item]) -> list[list[Item]]:
-    """The smallest sets of the items ``others`` at ``place`` without which ``item`` fits there."""
-    lacking = _find_lacking(packing, item, place)
-    conflicts = _list_conflicts(packing, item, place)
-    needs = [need - EPSILON for need in lacking.values()]
-    gains = [
-        [released.get(column, 0.0) for column in lacking]
-        for released in (each.measure(place) for each in others)
-    ]
-    if any(sum(column) < need for column, need in zip(zip(*gains, strict=True), needs, strict=False)):
-        return []
-    for count in range(1, MAX_EJECTED + 1):
-        found = [[others[index] for index in chosen] for chosen in _list_covers(gains, needs, count)]
-        packing.work -= comb(len(others), count)
-        if conflicts:
-            found = [each for each in found if _solves([other.name for other in each], conflicts)]
-        if found:
-            return found
-    return []
-
-
-def _list_covers(
-    gains: Sequence[Sequence[float]], needs: Sequence[float], count: int, start: int = 0
-) -> Iterator[tuple[int, ...]]:
-    """Indices of ``count`` rows of ``gains``, from ``start`` on, that add up to ``needs`` in every column."""
-    if count == 1:
-        for index in range(start, len(gains)):
-            if all(map(ge, gains[index], needs)):
-                yield (index,)
-        return
-    for index in range(start, len(gains) - count + 1):
-        rest = list(map(sub, needs, gains[index]))
-        for others in _list_covers(gains, rest, count - 1, index + 1):
-            yield (index, *others)
-
-
-def _shake(packing: Packing, names: Sequence[str]) -> None:
-    """Move a few of the items ``names`` that are placed to other places where they fit."""
-    for _ in range(SHAKES if names else 0):
-        name = names[packing.draw(len(names))]
-        here, item = packing.at.get(name), packing.items[name]
-        place = item.places[packing.draw(len(item.places))]
-        if here is None or place == here or not fits(packing, item, place):
-            continue
-        packing.take(item)
-        packing.put(item, place)
+def restore_homes(packing: Packing) -> None:
+    """Put items back to their homes where they fit again, running ones first."""
+    away = [name for name, home in packing.home.items() if packing.at.get(name, home) != home]
+    for name in sorted(away, key=lambda name: not packing.items[name].runs):
+        item, home = packing.items[name], packing.home[name]
+        place = packing.take(item)
+        packing.put(item, home if fits(packing, item, home) else place)

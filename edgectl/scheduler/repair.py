@@ -15,16 +15,9 @@ from edgectl.scheduler.decided_plan import (
     list_link_columns,
     list_wanted,
 )
+from edgectl.scheduler.insertion import extend_item, place_item, preempt_for_item
 from edgectl.scheduler.ledger import compute_demand_usage
-from edgectl.scheduler.packing import (
-    Item,
-    Packing,
-    combine_items,
-    extend_item,
-    place_item,
-    preempt_for_item,
-    restore_homes,
-)
+from edgectl.scheduler.packing import Item, Packing, combine_items, restore_homes
 from edgectl.scheduler.sequence import is_need_met
 from edgectl.scheduler.utility import EPSILON
 

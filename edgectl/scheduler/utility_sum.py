@@ -123,7 +123,7 @@ def build_utility_sum(
 
 def _measure_part(found: UtilitySum, name: str, place: int) -> None:
     part, weights = found.parts[name], found.objective.weights
-    shares = found.packing.measure(part.item, place)
+    shares = part.item.shares[place]
     part.rates[place] = sum(weights[each.name] * shares.get(column, 0.0) for column, each in _HOST)
     if part.column is not None:
         part.loads[place] = weights[NETWORK.name] * shares.get(part.column, 0.0)
@@ -243,7 +243,7 @@ def _weigh_links_at(found: UtilitySum, place: int, comes: Sequence[str], leaves:
     changes: dict[int, float] = {}
     for names, sign in ((leaves, 1.0), (comes, -1.0)):
         for name in names:
-            shares = packing.measure(packing.items[name], place)
+            shares = packing.items[name].shares[place]
             for column in links[name]:
                 changes[column] = changes.get(column, 0.0) + sign * shares.get(column, 0.0)
     total = 0.0
@@ -264,13 +264,13 @@ def fits_goals(packing: Packing, goals: Goals) -> bool:
     added: dict[int, dict[int, float]] = {goal: {} for goal in goals.values()}
     for name, goal in goals.items():
         item, comes = packing.items[name], added[goal]
-        for column, share in packing.measure(item, goal).items():
+        for column, share in item.shares[goal].items():
             comes[column] = comes.get(column, 0.0) + share
     for name in goals:
         here = packing.at[name]
         if here in added:
             comes = added[here]
-            for column, share in packing.measure(packing.items[name], here).items():
+            for column, share in packing.items[name].shares[here].items():
                 if column in comes:
                     comes[column] -= share
     for goal, shares in added.items():

@@ -14,7 +14,8 @@ from edgectl.model.policy import Policy
 from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostSample, Snapshot
 from edgectl.model.task import Task, Tasks
-from edgectl.scheduler.packing import Item, Packing, place_item
+from edgectl.scheduler.insertion import place_item
+from edgectl.scheduler.packing import Item, Packing
 from tests.builders import (
     NOW,
     a_link,
@@ -227,7 +228,7 @@ def test_names_do_not_decide_who_is_placed() -> None:
 
 
 def an_item(name: str, share: float, *places: int) -> Item:
-    return Item(name=name, tasks=(name,), places=places, measure=lambda _: {0: share})
+    return Item(name=name, tasks=(name,), places=places, shares={place: {0: share} for place in places})
 
 
 @pytest.mark.parametrize(("work", "found"), [(20, True), (6, False)])
