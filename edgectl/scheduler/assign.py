@@ -17,6 +17,7 @@ from edgectl.scheduler.candidates import AssignmentContext
 from edgectl.scheduler.capacities import Capacities, build_capacities
 from edgectl.scheduler.demand import add_measured_demands
 from edgectl.scheduler.demand_spread import find_demand_spreads
+from edgectl.scheduler.garbage import pause_collection
 from edgectl.scheduler.initial_state import InitialState, build_initial_state
 from edgectl.scheduler.integer_program import Solver
 from edgectl.scheduler.move_cost import collect_handoff_history
@@ -55,6 +56,19 @@ def assign(
         ValueError: the tasks' needs form a cycle, or the weights are not usable (validation of the files
             finds both).
     """
+    with pause_collection():
+        return _assign(inventory, tasks, snapshot, manager, policy, now, solve)
+
+
+def _assign(
+    inventory: Inventory,
+    tasks: Tasks,
+    snapshot: Snapshot,
+    manager: ManagerState,
+    policy: Policy,
+    now: float,
+    solve: Solver | None,
+) -> Assignment:
     rules = POLICIES[policy.name]
     used = replace(policy, weights=policy.weights.normalised())
     fleet = add_measured_demands(build_capacities(inventory, snapshot, manager, used.without), tasks, manager)
