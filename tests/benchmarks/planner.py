@@ -1,6 +1,10 @@
-"""Time and memory of a plan, from a lab to a thousand hosts: ``python -m tests.benchmarks.planner``."""
+"""Time and memory of a plan, from a lab to a thousand hosts: ``python -m tests.benchmarks.planner``.
+
+Fails where the decisions of the largest fleet are not those of ``DIGESTS``, on either path.
+"""
 
 import gc
+import hashlib
 import resource
 import sys
 import time
@@ -9,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import edgectl.scheduler.assign as planner
 from edgectl.executor.diff import plan_from_assignment
+from edgectl.model.assignment import Assignment
 from edgectl.model.demand import ZERO, Demand
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
@@ -30,6 +35,14 @@ from tests.builders import (
 
 SIZES = ((3, 10), (50, 200), (100, 1000), (1000, 10000))
 KINDS = 10
+# By hosts, tasks, and whether every demand is measured: `digest_decisions`, with and without NumPy. A change that is
+# to decide otherwise states the new ones.
+DIGESTS = {
+    (40, 120, False): "719134b08589e210",
+    (40, 120, True): "96ef121fcf4fa485",
+    (1000, 10000, False): "e8fb15578b83bd2b",
+    (1000, 10000, True): "eaf9f61009507e66",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,6 +59,7 @@ class PlannerRow:
     plan_s: float
     peak_bytes: int
     settled: bool
+    digest: str
 
 
 def build_fleet(hosts: int, tasks: int) -> tuple[Inventory, Tasks, Snapshot]:
@@ -95,8 +109,20 @@ def measure_size(hosts: int, tasks: int, *, history: bool = False) -> PlannerRow
     ended = time.process_time()
     return PlannerRow(
         hosts=hosts, tasks=tasks, assign_s=assigned - started, plan_s=ended - assigned, peak_bytes=read_peak_bytes() - before,
-        settled=assignment.settled,
+        settled=assignment.settled, digest=digest_decisions(assignment),
     )  # fmt: skip
+
+
+def digest_decisions(assignment: Assignment) -> str:
+    """Return a digest of who goes where and why, of all totals and leads, and of gamma, to the last bit."""
+    lines = [
+        f"{each.task} {each.verdict.value} {each.reason.value} {each.subject} {each.host} {each.challenger} {each.total!r} {each.lead!r}"
+        for each in assignment.decisions
+    ]
+    lines += [
+        f"{host} {dict(load.used)!r} {dict(load.links)!r}" for host, load in assignment.expected.items()
+    ]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
 
 
 def read_peak_bytes() -> int:
@@ -124,11 +150,25 @@ def format_table(rows: Sequence[PlannerRow]) -> str:
 
 def main(sizes: Sequence[tuple[int, int]] = SIZES) -> None:
     """Print the table, and the same with every demand measured."""
+    digests = []
     for history in (False, True):
-        print(format_table([measure_size(hosts, tasks, history=history) for hosts, tasks in sizes]) + "\n")
+        rows = [measure_size(hosts, tasks, history=history) for hosts, tasks in sizes]
+        print(format_table(rows) + "\n")
+        digests.append(rows[-1].digest)
     print("the largest in pure Python, declared and measured:")
     planner.MIN_ARRAY_PAIRS = sys.maxsize
-    print(format_table([measure_size(*sizes[-1], history=history) for history in (False, True)]))
+    rows = [measure_size(*sizes[-1], history=history) for history in (False, True)]
+    print(format_table(rows))
+    check_digests(sizes[-1], digests)
+    check_digests(sizes[-1], [row.digest for row in rows])
+
+
+def check_digests(size: tuple[int, int], digests: Sequence[str]) -> None:
+    """Exit where the decisions, with declared and with measured demands, are not those that are known."""
+    for history, digest in zip((False, True), digests, strict=True):
+        known = DIGESTS.get((*size, history), digest)
+        if digest != known:
+            sys.exit(f"the decisions of {size[0]} x {size[1]} have the digest {digest}, not {known}")
 
 
 if __name__ == "__main__":
