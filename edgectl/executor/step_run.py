@@ -148,11 +148,15 @@ def _encode_phase_entry(phase: PhaseResult) -> dict[str, object]:
     }
 
 
+# After these the old instance is not heard any more; by name, for a deactivated one lives on.
+_ENDING_PHASES = ("stop", "deactivate")
+
+
 @dataclass(slots=True, kw_only=True)
 class StepRun:
     """One step from its intent to its result. ``started``: the instance that was started last. ``needed``:
     marks of the runs of predecessors, by name. ``old_ended``: when the old instance was last stopped
-    (monotonic clock). ``end_gap_watch``: gives the gap of a move as the robot heard it.
+    or deactivated (monotonic clock). ``end_gap_watch``: gives the gap of a move as the robot heard it.
     """
 
     run: RunContext
@@ -232,7 +236,7 @@ class StepRun:
     def _note(self, phase: Phase, host: str, began: float, *, ok: bool, detail: str = "") -> None:
         ended = PhaseResult(phase=phase, host=host, seconds=time.monotonic() - began, ok=ok, detail=detail)
         self.phases.append(ended)
-        if phase is Phase.STOP:
+        if phase.value in _ENDING_PHASES:
             self.old_ended = time.monotonic()
         self.run.report_progress(
             ProgressEvent(
