@@ -29,6 +29,7 @@ _KEYS_READ_ELSEWHERE = (
     "hosts",
     "on_unreachable",
     "on_unhealthy",
+    "deadline",
     *COMPANION_KEYS,
 )
 
@@ -139,6 +140,8 @@ def _build_task(
     unreachable, after = draft.template.fields.values.get("on_unreachable", (None, None))
     values |= {"on_unreachable": unreachable} if unreachable is not None else {}
     values |= {"replace_after": after} if after is not None else {}
+    if "deadline" in draft.template.fields.values:
+        values["deadline"], values["hard_deadline"] = draft.template.fields.values["deadline"]
     values |= companions
     values.setdefault("command", "")
     if "alive" in values:

@@ -16,6 +16,7 @@ from edgectl.config.fields import (
     read_labels,
     record_reader,
 )
+from edgectl.config.latency_readers import read_deadline, read_heard, read_latency
 from edgectl.config.node import Node
 from edgectl.config.problems import Mark, ProblemCode, Problems
 from edgectl.config.quantities import parse_cost, parse_margin
@@ -82,7 +83,9 @@ TASK_KEYS: Mapping[str, NodeReader] = {
     "together": list_reader_with_nodes(read_name),
     "spread": read_text,
     "group": read_name,
-    "deadline": read_duration,
+    "deadline": read_deadline,
+    "latency": read_latency,
+    "heard": read_heard,
     "hosts": read_host_rules,
     "onboard": enum_reader(OnboardRule),
     "kind": enum_reader(TaskKind),

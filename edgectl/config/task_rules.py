@@ -10,6 +10,7 @@ from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.task_file import EXCLUSIVE_KEYS, TaskDraft, TaskTemplate
 from edgectl.model.check import Check, CheckLocation, OnUnhealthy
 from edgectl.model.demand import Demand
+from edgectl.model.latency import HeardRule, LatencyRule
 from edgectl.model.resource import RESOURCES
 from edgectl.model.task import OnboardRule, RestartPolicy, TaskKind, UnreachablePolicy
 from edgectl.units import format_duration
@@ -135,6 +136,7 @@ def _check_unmanaged(template: TaskTemplate, problems: Problems) -> None:
             "alive is asked by the supervisor of a task, and a task with managed: false has none",
             "remove alive, or remove managed: false",
         )
+    _check_unmanaged_latency(fields, problems)
     if "detect" not in fields:
         message = f"task {template.name} has managed: false, so it needs detect"
         problems.add(
@@ -154,10 +156,25 @@ def _check_unmanaged(template: TaskTemplate, problems: Problems) -> None:
         )
 
 
+def _check_unmanaged_latency(fields: Fields, problems: Problems) -> None:
+    rule = fields.values.get("latency")
+    if isinstance(rule, LatencyRule) and rule.metric:
+        message = (
+            "latency of a metric is what edgectl gives $EDGECTL_METRICS for, and managed: false has none"
+        )
+        mark = fields.node.key_mark("latency")
+        problems.add(mark, ProblemCode.CONTRADICTION, message, "write topic: /NAME, or remove latency")
+    if "heard" in fields:
+        message = "heard is for moves, and a task with managed: false is never moved"
+        mark = fields.node.key_mark("heard")
+        problems.add(mark, ProblemCode.CONTRADICTION, message, "remove heard, or remove managed: false")
+
+
 def check_draft(draft: TaskDraft, fleet: FleetIndex, problems: Problems) -> None:
     """What one expanded task asks of its robots."""
     _check_onboard(draft, fleet, problems)
     _check_robot_checks(draft, fleet, problems)
+    _check_robot_ears(draft, fleet, problems)
     _check_placeholders(draft, problems)
     _check_demand(draft, problems)
 
@@ -203,6 +220,25 @@ def _check_robot_checks(draft: TaskDraft, fleet: FleetIndex, problems: Problems)
                 "write on: host, or remove probe: false",
                 warning=True,
             )
+
+
+def _check_robot_ears(draft: TaskDraft, fleet: FleetIndex, problems: Problems) -> None:
+    """What the robot is to receive: the stamped messages of ``latency``, and what tells it of the task."""
+    fields = draft.template.fields
+    rule, heard = fields.values.get("latency"), fields.values.get("heard")
+    asked = [("heard", "remove heard")] if isinstance(heard, HeardRule) else []
+    if isinstance(rule, LatencyRule) and rule.topic and rule.on is CheckLocation.ROBOT:
+        asked.append(("latency", "write on: host"))
+    for key, hint in asked:
+        silent = [name for name in draft.robots if not fleet.hosts[name].probe]
+        if not draft.robots:
+            message = f"{key} is read on the robot, and {draft.name} has none"
+            mark = fields.at(key).mark
+            problems.add(mark, ProblemCode.CONTRADICTION, message, f"{hint}, or give the task a robot")
+        elif len(silent) == len(draft.robots):
+            message = f"{key} is read on {silent[0]}, which has probe: false: it will never be known"
+            mark, more = fields.at(key).mark, f"{hint}, or remove probe: false"
+            problems.add(mark, ProblemCode.NEVER_ANSWERED, message, more, warning=True)
 
 
 def _list_checks(fields: Fields) -> list[tuple[str, Check, Node]]:

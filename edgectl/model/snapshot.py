@@ -11,6 +11,7 @@ from edgectl.agent.link import protocol
 from edgectl.dataclass import dataclass
 from edgectl.model.encoding import Instant, Positive, Signed, SignedInt, in_document
 from edgectl.model.inventory import Role
+from edgectl.model.latency import LatencySample
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.reported import Age, Generation, Text
 from edgectl.model.resource import MEASURED_HOST_RESOURCES, Usage
@@ -119,6 +120,7 @@ class TaskSample:
     ``needed``: marks of the runs of its predecessors with ``restart: with`` when it was started.
     ``nodes``: the names and addresses under which its nodes are registered at a ROS 1 master.
     ``partial``: what its traffic lacks, as of a link.
+    ``latency``: as its rule states it, where there is a value.
     ``orphaned``: it lives without a supervisor; ``adoptable``: a new one can take it over as it is (ADR
     0041).
     """
@@ -150,6 +152,7 @@ class TaskSample:
     needed: str = ""
     nodes: Mapping[str, str] = field(default_factory=dict)
     partial: str = ""
+    latency: LatencySample | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

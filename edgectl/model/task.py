@@ -9,6 +9,7 @@ from enum import StrEnum
 from edgectl.dataclass import dataclass
 from edgectl.model.check import AliveRule, Check
 from edgectl.model.demand import Demand
+from edgectl.model.latency import HeardRule, LatencyRule
 from edgectl.model.policy import Policy
 
 _NODE_NAME = re.compile(r"(?:^|\s)__(?:name|node):=(\S+)")
@@ -159,7 +160,8 @@ class Task:
     """One task after expansion.
 
     ``template`` is its name in the file; ``spec_hash`` changes when what runs would change. ``robots`` are
-    the robots it serves (links count for each); ``priority`` high first; ``deadline`` in seconds. Entries of
+    the robots it serves (links count for each); ``priority`` high first; ``deadline`` in seconds, the
+    bound of its latency; ``hard_deadline``: it goes only where that is kept. Entries of
     ``env`` may be ``Secret``; ``env_command`` is an argument vector that prints more of them as lines
     NAME=value. ``spec_fields``: short hash of each field that ``spec_hash`` covers. ``self_fence``: its
     supervisor stops it when no request of a manager has reached the host for so many seconds; None: never.
@@ -171,6 +173,7 @@ class Task:
     ``if_nothing_fits``: what it does where no host has room, as ``Policy.best_effort`` for all tasks.
     ``downtime_cost``: utility lost per second of downtime, 0 or more; weighed once downtimes are measured.
     ``alive``: asked while the task runs, and for readiness too where ``ready`` is not stated.
+    ``latency``: where its latency is measured; ``heard``: how its robot notices it.
     ``file``: the task file that lists it (ADR 0039); it is no part of any digest.
     """
 
@@ -189,6 +192,9 @@ class Task:
     spread: str | None = None
     group: str | None = None
     deadline: float | None = None
+    hard_deadline: bool = False
+    latency: LatencyRule | None = None
+    heard: HeardRule | None = None
     hosts: HostRules = HostRules()
     onboard: OnboardRule = OnboardRule.ALLOW
     managed: bool = True

@@ -14,6 +14,7 @@ from edgectl.config import (
     coordination,
     demand_readers,
     inventory_file,
+    latency_readers,
     ros_settings,
     task_file,
     task_readers,
@@ -24,6 +25,7 @@ from edgectl.config.problems import ProblemCode
 from edgectl.experiments.files import experiment_file, run_codec
 from edgectl.formats.kinds import PLAN_KIND, SNAPSHOT_KIND
 from edgectl.model.inventory import Host, Role
+from edgectl.model.latency import LatencySample
 from edgectl.model.snapshot import DeviceSample, HostSample, InterfaceSample, OtherTask, TaskSample, TaskState
 from edgectl.model.snapshot import HostStatus as Status
 from edgectl.model.task import Task
@@ -50,6 +52,8 @@ TABLES: Mapping[str, tuple[Mapping[str, object], ...]] = {
     "### Hosts of a task": (task_readers.HOST_RULES_KEYS,),
     "### Checks": (check_readers.CHECK_KEYS,),
     "### Liveness": (check_readers.ALIVE_KEYS,),
+    "### Latency": (latency_readers.LATENCY_KEYS, latency_readers.DEADLINE_KEYS),
+    "### Heard": (latency_readers.HEARD_KEYS,),
     "### Detect": (task_readers.DETECT_KEYS,),
     "### Stop": (task_readers.STOP_KEYS,),
     "### Secrets": (config_fields.SECRET_KEYS,),
@@ -100,7 +104,7 @@ def test_readers_cover_the_model() -> None:
         "role",
         "fleet",
     }
-    made = {"name", "template", "spec_hash", "spec_fields", "replace_after", "file"}
+    made = {"name", "template", "spec_hash", "spec_fields", "replace_after", "hard_deadline", "file"}
     assert (
         set(task_file.TASK_KEYS) - {"for_each", "robot", "on_unhealthy"}
         == {field.name for field in fields(Task)} - made
@@ -110,7 +114,7 @@ def test_readers_cover_the_model() -> None:
 def test_keys_of_a_snapshot_are_complete() -> None:
     everything = TaskSample(
         state=TaskState.FAILED, links={}, instance="i", spec_hash="s", generation=1, managed=False, restarts=1, exit_code=1, detail="d",
-        fields={"command": "c"}, last_exit=1, log_tail=("l",), limits="l", given_up=True, metrics={"fps": 29.5}, ended_at=1.0, file="f", orphaned=True, adoptable=True, needed="a1b2c3", nodes={"/slam": "http://edge1:1"}, partial="udp unseen",
+        fields={"command": "c"}, last_exit=1, log_tail=("l",), limits="l", given_up=True, metrics={"fps": 29.5}, ended_at=1.0, file="f", orphaned=True, adoptable=True, needed="a1b2c3", nodes={"/slam": "http://edge1:1"}, partial="udp unseen", latency=LatencySample(count=1),
     )  # fmt: skip
     device = DeviceSample(
         load_1m=1.0,
