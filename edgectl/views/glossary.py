@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 
 from edgectl.dataclass import dataclass
-from edgectl.model.resource import AFFINITY, CPU, RESOURCES, TERMS, Resource
+from edgectl.model.resource import AFFINITY, CPU, LATENCY, RESOURCES, TERMS, Resource
 from edgectl.views.text import Cell, Row
 
 
@@ -200,6 +200,15 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "id": "number of an event",
         "last_exit": "exit code before the last restart",
         "lead": "utility above that of the next host",
+        "load": "share of the CPU of a host that others than the task use",
+        "low_ms": "bound of a predicted latency, below which few jobs are expected",
+        "high_ms": "bound of a predicted latency, above which few jobs are expected",
+        "p50_ms": "median of a latency",
+        "p95_ms": "95th percentile of a latency",
+        "p99_ms": "99th percentile of a latency",
+        "service_ms": "time of a job on an idle host, median",
+        "transfer_ms": "time of the bytes of a job on what is free of the link",
+        "waiting_ms": "what the load of others adds to the time of a job, mean",
         "load_1m": "load average over one minute",
         "max": "maximum",
         "mean": "mean",
@@ -249,6 +258,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
     KeyType.FLAG: {
         "current": "whether a profiler measures what the files ask for",
         "done": "whether every action was carried out",
+        "elsewhere": "whether the service time is that of another class of hosts",
         "enough": "whether there are enough samples for a demand",
         "fragile": "whether the lead is below the variation of the measurements",
         "given_up": "whether a task is not restarted any more",
@@ -330,6 +340,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "metrics": "metrics that an application reports, by name",
         "off_by": "deviation from the reference as a share, by metric",
         "placements": "host by task",
+        "latencies": "predicted latency of a task by host",
         "reference_figures": "reference values by metric",
         "resources": "measured usage by resource",
         "utilisation": "share of the capacity in use, by resource",
@@ -424,8 +435,8 @@ HEADINGS = _list_amount_headings() | {
 }
 
 
-# A budget that no host declares has no column, no weight and no limit in a table.
-_DECLARED_ONLY = {resource.name for resource in RESOURCES if resource.declared_only}
+# A budget that no host declares, or a latency that is not weighed, has no column, weight or limit there.
+_SPARE_TERMS = {resource.name for resource in RESOURCES if resource.declared_only} | {LATENCY}
 
 
 def head(*columns: str) -> Row:
@@ -434,7 +445,7 @@ def head(*columns: str) -> Row:
 
 
 def _get_heading_style(column: str) -> str:
-    return "spare" if _DECLARED_ONLY & set(column.split(".")) else "head"
+    return "spare" if _SPARE_TERMS & set(column.split(".")) else "head"
 
 
 def head_of_resource(resource: Resource) -> Cell:
@@ -443,5 +454,5 @@ def head_of_resource(resource: Resource) -> Cell:
 
 
 def list_shown_weights(weights: Mapping[str, float]) -> dict[str, float]:
-    """The weights without those of budgets that are not weighed."""
-    return {name: weight for name, weight in weights.items() if weight or name not in _DECLARED_ONLY}
+    """The weights without those of budgets and of the latency that are not weighed."""
+    return {name: weight for name, weight in weights.items() if weight or name not in _SPARE_TERMS}
