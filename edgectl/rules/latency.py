@@ -32,10 +32,14 @@ NO_WAITING = Waiting(0.0, 0.0, 1.0)
 
 
 class HostLoad(NamedTuple):
-    """CPU of a host: ``cores`` in all (> 0), ``used`` of them by others than the task."""
+    """CPU of a host: ``cores`` in all (> 0), ``used`` of them by others than the task.
+
+    ``others``: the tasks that use them, infinite where that is not known.
+    """
 
     cores: float
     used: float
+    others: float = inf
 
 
 class LinkLoad(NamedTuple):
@@ -58,25 +62,44 @@ def compute_busy_probability(cores: int, load: float) -> float:
 
 
 @lru_cache(maxsize=65_536)
-def compute_waiting(work: float, burst: float, cores: int, load: float) -> Waiting:
+def compute_waiting(work: float, burst: float, cores: int, load: float, others: float = inf) -> Waiting:
     """What sharing ``cores`` adds to a job of ``work`` s, if others' jobs take ``burst`` s on average.
 
     The mean of M/G/c with processor sharing: work x C / (c (1 - load)), whatever the distribution of others'
     jobs. The variance of M/M/1 with processor sharing (exact for one core); for more cores that of one core,
     c times as fast, among the jobs that find all busy. A job does not wait if it finds a free core and no
     more jobs than there are free cores come while it runs: exact for one core.
+
+    ``others``: so many tasks make the load, each one job after the other; fewer of them meet at a time.
     """
-    if load <= 0.0 or work <= 0.0:
+    if load <= 0.0 or work <= 0.0 or others < cores:
         return NO_WAITING
     busy, idle = compute_busy_probability(cores, load), 1.0 - load
     mean = work * busy / (cores * idle)
     alone = _compute_variance_of_one_core(work / cores, burst / cores, load)
     mean_alone = work / cores * load / idle
     last_core = busy * idle / load / (1.0 - busy)
-    return Waiting(
+    waiting = Waiting(
         mean=mean,
         variance=busy / load * (alone + mean_alone**2) - mean**2,
         none=(1.0 - busy) * exp(-load * cores / burst * last_core * work),
+    )
+    return waiting if others == inf else _limit_others(waiting, cores, load, others)
+
+
+def _limit_others(waiting: Waiting, cores: int, load: float, others: float) -> Waiting:
+    """``waiting`` if ``others`` tasks make the load, n of them beyond the free cores.
+
+    Each is busy a share p = (load / n) / (1 - load (n - 1) / n) of the time, n p of them at once on average,
+    with a variance between that of independent tasks (n = 1) and that of very many.
+    """
+    count = others - cores + 1
+    free = 1.0 - load * (count - 1) / count
+    share, idle = load / count / free, 1.0 - load
+    return Waiting(
+        mean=waiting.mean * count * share / (load / idle),
+        variance=waiting.variance * count * share * (1.0 - share) / free / (load / idle**2),
+        none=min(1.0, waiting.none * (1.0 - share) ** count / idle),
     )
 
 
@@ -118,13 +141,15 @@ def estimate_latency(
     slowness = max(1.0, 1.0 / host.cores)
     median, longer = service.p50 * slowness, service.p95 / service.p50
     load = max(0.0, host.used / host.cores)
-    waiting = compute_waiting(median, median, max(1, int(host.cores)), min(MAX_LOAD, load))
+    cores = max(1, int(host.cores))
+    waiting = compute_waiting(median, median, cores, min(MAX_LOAD, load), host.others)
+    longest = median * max(0.0, (host.others + 1) / cores - 1.0)  # all others all the time
     transfer, rtt = (0.0, 0.0) if link is None else (_compute_transfer(link, job_bytes), link.rtt)
 
     def find_quantile(share: float) -> float:
         """Spreads of independent times add up by their squares."""
         own = median * (longer ** (_NORMAL.inv_cdf(share) / _Z95) - 1.0)
-        waits = compute_waiting_quantile(waiting, share)
+        waits = min(longest, compute_waiting_quantile(waiting, share))
         return _MS * (median + transfer + rtt + (hypot(own, waits) if own > 0.0 else own + waits))
 
     p95 = find_quantile(0.95)

@@ -1,6 +1,7 @@
 """Predicted latency of a task at a place, its term of eq. (4), and the deadline as a rule (ADR 120). Pure."""
 
 from collections.abc import Iterable, Iterator, Mapping
+from math import inf
 from typing import TYPE_CHECKING
 
 from edgectl.model.assignment import Rejection, RejectionRule
@@ -44,7 +45,7 @@ def predict_latency(ledger: Ledger, task: Task, place: int, *, idle: bool = Fals
     from edgectl.rules.latency import HostLoad, estimate_latency
 
     service, elsewhere = _find_service_time(fleet, task, place)
-    host = HostLoad(cores, 0.0 if idle else ledger.used[CPU.name][place])
+    host = HostLoad(cores, 0.0 if idle else ledger.used[CPU.name][place], ledger.tasks[place] or inf)
     links = list(_list_links(ledger, task, place, idle=idle))
     if None in links:
         return None

@@ -135,6 +135,22 @@ def test_a_part_of_a_core_is_a_slow_core() -> None:
     assert estimate(0.5, 0.0).p50_ms == pytest.approx(60.0)
 
 
+@pytest.mark.parametrize("load", [0.3, 0.6])
+def test_few_others_meet_less_often(load: float) -> None:
+    """One other task: it is busy a share rho of the time, and a job waits for no more than one of its jobs."""
+    alone = compute_waiting(0.030, 0.030, 1, load, 1)
+    assert alone.mean == pytest.approx(0.030 * load)
+    found = estimate_latency(STEADY, HostLoad(1.0, load, 1), None, 0.0)
+    assert found.p99_ms == pytest.approx(60.0), "both take turns"
+    means = [compute_waiting(0.030, 0.030, 1, load, count).mean for count in (1, 2, 8, 1e9)]
+    assert means == sorted(means)
+    assert means[-1] == pytest.approx(0.030 * load / (1 - load))
+
+
+def test_others_that_are_fewer_than_the_cores_are_not_felt() -> None:
+    assert estimate_latency(STEADY, HostLoad(4.0, 2.4, 3), None, 0.0).p99_ms == pytest.approx(30.0)
+
+
 def test_quantiles_of_waiting_begin_at_nothing() -> None:
     waiting = compute_waiting(0.030, 0.030, 4, 0.3)
     assert waiting.none > 0.8
