@@ -132,7 +132,9 @@ def _is_notable(action: Action) -> bool:
 
 def write_actions(connection: sqlite3.Connection, results: Results, at: float) -> None:
     """Insert every action of an apply that ended at ``at``."""
-    columns = "at, revision, task, action, outcome, host, previous_host, located, downtime_s, seconds, error"
+    columns = (
+        "at, revision, task, action, outcome, host, previous_host, located, downtime_s, seconds, error, gap_s"
+    )
     _insert_rows(
         connection,
         "actions",

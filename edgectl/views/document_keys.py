@@ -31,7 +31,8 @@ _TASK = (*_RUN, "contacted_at", "in_files", "task_kind", "robot_names", "needs",
 _LINK = ("edge", "robot", "taken_at", *_LINK_SAMPLE)
 _EVENT = ("id", "at", "kind", "host", "task", "message")
 _ACTION = (
-    "task", "action", "outcome", "host", "previous_host", "located", "downtime_s", "phases", "error", "hint",
+    "task", "action", "outcome", "host", "previous_host", "located", "downtime_s", "gap_s", "phases",
+    "error", "hint",
 )  # fmt: skip
 _RESULT = ("revision", "duration_s", "done", "interrupted", "actions")
 _REVISION = ("revision", "started_at", "user", "verb", "outcome", "duration_s", "counts")

@@ -188,6 +188,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "cycles": "number of cycles",
         "deadline_s": "deadline of a task",
         "downtime_s": "gap of a handoff, from stop to ready",
+        "gap_s": "longest silence of a task at its robot during a handoff, where the task states heard",
         "duration_s": "time that an operation took",
         "every_s": "period that was asked for",
         "exit_code": "exit code of a task that ended",

@@ -15,6 +15,7 @@ OP_FETCH = "fetch"
 OP_FOLLOW = "follow"
 OP_FORGET = "forget"
 OP_GRAPH = "graph"
+OP_HEAR = "hear"
 OP_LEASE = "lease"
 OP_LOGS = "logs"
 OP_MARK = "mark"
@@ -52,6 +53,18 @@ REQUEST_KEYS = {
     OP_FOLLOW: ("task", "tail"),
     OP_FORGET: ("task", "master", "nodes"),
     OP_GRAPH: ("version", "ros", "env", "timeout_s"),
+    OP_HEAR: (
+        "task",
+        "watch",
+        "action",
+        "topic",
+        "command",
+        "prelude",
+        "ros",
+        "env",
+        "after_s",
+        "timeout_s",
+    ),
     OP_LEASE: ("action", "lease", "end_watch"),
     OP_LOGS: ("task", "tail"),
     OP_MARK: ("task", "instance", "ready"),
