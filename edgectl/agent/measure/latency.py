@@ -140,3 +140,8 @@ def load_counts(folder: str) -> Document:
 def get_rule_path(folder: str) -> str:
     """Path of what is to be counted of the task in ``folder``: a record."""
     return os.path.join(folder, _RULE)
+
+
+def describe_error(why: str) -> Document:
+    """Describe counts that cannot be had."""
+    return dict(LatencyCounter().describe(0.0), error=why)

@@ -6,7 +6,7 @@ import time
 from ..link import protocol
 from ..link.fast_json import Document
 from ..supervise import records, state_dir
-from .latency import LatencyCounter, get_rule_path, load_counts
+from .latency import LatencyCounter, describe_error, get_rule_path, load_counts
 
 # A reply has room for so many buckets of all tasks; what does not fit is left out, the tasks that come last
 # first.
@@ -19,11 +19,22 @@ def read_latencies(host: str, rules: "list[Document]", tasks: "dict[str, Documen
     ``tasks``: the tasks of this host as they are replied.
     """
     found: "dict[str, Document]" = {}
+    topics = [rule for rule in rules if rule.get("topic") and _is_wanted(rule, tasks)]
+    if topics:
+        from ..ros.latency_topics import read_topics
+
+        found.update(read_topics(host, topics))
     for rule in rules:
         task = str(rule["task"])
         if rule.get("metric") and task in tasks and tasks[task]["managed"]:
             found[task] = _read_task(host, task, tasks[task], rule)
     return _limit_buckets(found)
+
+
+def _is_wanted(rule: Document, tasks: "dict[str, Document]") -> bool:
+    """Whether a topic is to be counted: for a task of this host only while it lives here."""
+    entry = tasks.get(str(rule["task"]))
+    return not rule["here"] or (entry is not None and entry["state"] in protocol.ALIVE_STATES)
 
 
 def _read_task(host: str, task: str, entry: Document, rule: Document) -> Document:
@@ -49,11 +60,6 @@ def _read_task(host: str, task: str, entry: Document, rule: Document) -> Documen
         if known.get("instance") == instance and known.get("metric") == rule["metric"]:
             return LatencyCounter(known).describe(time.monotonic())
     return LatencyCounter().describe(time.monotonic())
-
-
-def describe_error(why: str) -> Document:
-    """Describe counts that cannot be had."""
-    return dict(LatencyCounter().describe(0.0), error=why)
 
 
 def _limit_buckets(found: "dict[str, Document]") -> "dict[str, Document]":
