@@ -66,8 +66,9 @@ ALLOWED = {
     "agent": set(),
     "scaffold": set(),
 }
-# The one module of the agent that both sides read, and the rooms that read it.
+# The modules of the agent that both sides read, and the rooms that read them.
 PROTOCOL = "edgectl.agent.link.protocol"
+BOTH_SIDES = ("edgectl.agent.link", PROTOCOL, "edgectl.agent.link.sketch")
 PROTOCOL_READERS = {
     "model",
     "config",
@@ -207,7 +208,7 @@ def may_import(module: str, name: str) -> bool:
         return True
     if room == "gateway" and name in ("edgectl.agent.measure", SHARED_RULES):
         return True
-    if room in PROTOCOL_READERS and name in ("edgectl.agent.link", PROTOCOL):
+    if room in PROTOCOL_READERS and name in BOTH_SIDES:
         return True
     target = name.split(".")[1]
     if module == "executor/diff.py":
@@ -239,7 +240,7 @@ def may_wing_import(module: str, name: str) -> bool:
         target, _ = split_wing_module(name)
         downward = WING_PARTS.index(target) <= WING_PARTS.index(part)
         return downward and {part, target} != {"views", "report"}
-    if not name.startswith("edgectl.") or name in ("edgectl.agent.link", PROTOCOL):
+    if not name.startswith("edgectl.") or name in BOTH_SIDES:
         return True
     return name.split(".")[1] in PURE | WING_DOORS.get(door, set()) | {"__version__"}
 

@@ -22,6 +22,7 @@ from edgectl.executor.action_phases import (
     build_stop_phase,
 )
 from edgectl.executor.concurrent_change import ConcurrentChangeError
+from edgectl.executor.heard import begin_gap_watch
 from edgectl.executor.phases import perform_phase, perform_phases, resolve_variables
 from edgectl.executor.step_run import StepRun
 from edgectl.model.check import CheckLocation
@@ -55,6 +56,7 @@ def move_task(act: StepRun, task: Task, planned: StartPhases) -> ActionResult:
         variables = resolve_variables(act, task, new)
     except HostError as error:
         return act.end(Outcome.DEFERRED, located=old, error=error)
+    begin_gap_watch(act, task)
     try:
         _run_hold_hook(act, planned, old)
         downtime = _swap_instances(act, task, planned, old, new, variables)

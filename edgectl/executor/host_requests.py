@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from edgectl.agent.link import protocol
 from edgectl.model.check import AliveRule, Check, CheckLocation, OnUnhealthy
 from edgectl.model.inventory import Host
+from edgectl.model.latency import HeardRule
 from edgectl.model.task import StopRule, Task
 from edgectl.rules.environment import drop_secrets, merge_environment
 from edgectl.rules.ros import encode_question, encode_ros
@@ -181,6 +182,37 @@ def build_check_request(
         "ros": encode_ros(task, host, hosts),
         "env": drop_secrets(merge_environment(task, host, hosts)),
         "timeout_s": rule.timeout if timeout_s is None else timeout_s,
+    }
+
+
+def build_hear_request(
+    task: Task,
+    rule: HeardRule,
+    host: Host,
+    hosts: Hosts,
+    *,
+    watch: str,
+    action: str,
+    after_s: float,
+    timeout_s: float,
+) -> Request:
+    """Begin or end the watcher ``watch`` on a robot. ``after_s``: how long ago the old instance had ended;
+    ``timeout_s``: how long to wait until the robot hears the task.
+    """
+    return {
+        "op": protocol.OP_HEAR,
+        "fleet": host.fleet,
+        "host": host.name,
+        "task": task.name,
+        "watch": watch,
+        "action": action,
+        "topic": rule.topic,
+        "command": rule.command,
+        "prelude": host.prelude,
+        "ros": encode_ros(task, host, hosts),
+        "env": drop_secrets(merge_environment(task, host, hosts)),
+        "after_s": after_s,
+        "timeout_s": timeout_s,
     }
 
 

@@ -240,12 +240,15 @@ def _is_silent(snapshot: Snapshot, host: str) -> bool:
 
 
 def _collect_downtimes(manager: ManagerState, results: Results) -> dict[tuple[str, str], tuple[float, ...]]:
-    """The measured downtimes, without those of restored tasks, which include a failed attempt."""
+    """The gaps as robots heard them, else the measured downtimes; without those of restored tasks, which
+    include a failed attempt.
+    """
     downtimes = dict(manager.downtimes)
     for result in results.actions:
-        if result.downtime_s is not None and result.located is not None and result.located == result.host:
+        gap = result.felt_gap_s
+        if gap is not None and result.located is not None and result.located == result.host:
             key = (result.task, result.located)
-            downtimes[key] = (*downtimes.get(key, ()), result.downtime_s)[-_MAX_MEASUREMENTS:]
+            downtimes[key] = (*downtimes.get(key, ()), gap)[-_MAX_MEASUREMENTS:]
     return downtimes
 
 

@@ -151,7 +151,8 @@ def _encode_phase_entry(phase: PhaseResult) -> dict[str, object]:
 @dataclass(slots=True, kw_only=True)
 class StepRun:
     """One step from its intent to its result. ``started``: the instance that was started last. ``needed``:
-    marks of the runs of predecessors, by name.
+    marks of the runs of predecessors, by name. ``old_ended``: when the old instance was last stopped
+    (monotonic clock). ``end_gap_watch``: gives the gap of a move as the robot heard it.
     """
 
     run: RunContext
@@ -160,6 +161,8 @@ class StepRun:
     begun: bool = False
     started: str = ""
     needed: dict[str, str] = field(default_factory=dict)
+    old_ended: float | None = None
+    end_gap_watch: Callable[[Outcome], float | None] | None = None
 
     @property
     def name(self) -> str:
@@ -229,6 +232,8 @@ class StepRun:
     def _note(self, phase: Phase, host: str, began: float, *, ok: bool, detail: str = "") -> None:
         ended = PhaseResult(phase=phase, host=host, seconds=time.monotonic() - began, ok=ok, detail=detail)
         self.phases.append(ended)
+        if phase is Phase.STOP:
+            self.old_ended = time.monotonic()
         self.run.report_progress(
             ProgressEvent(
                 stage=ProgressStage.PHASE_END,
@@ -250,6 +255,7 @@ class StepRun:
             located=result.located,
             error=result.error,
             downtime_s=result.downtime_s,
+            **({} if result.gap_s is None else {"gap_s": result.gap_s}),
             phases=[_encode_phase_entry(phase) for phase in self.phases],
             **what,
         )
@@ -264,6 +270,7 @@ class StepRun:
     ) -> ActionResult:
         """The result of the action, journalled."""
         decision = self.step.decision
+        gap = None if self.end_gap_watch is None else self.end_gap_watch(outcome)
         result = ActionResult(
             task=self.name,
             action=self.step.action,
@@ -272,6 +279,7 @@ class StepRun:
             previous_host=decision.previous_host,
             phases=tuple(self.phases),
             downtime_s=downtime_s,
+            gap_s=gap,
             error=error.message if error else "",
             hint=error.hint if error else "",
             located=located,

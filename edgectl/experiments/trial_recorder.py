@@ -15,6 +15,7 @@ from edgectl.experiments.model.experiment import (
     Trial,
 )
 from edgectl.model.cycle import Cycle
+from edgectl.model.latency import LatencySample, list_latency_readings, merge_latencies
 from edgectl.model.plan import Action
 from edgectl.model.progress import ProgressEvent, ProgressStage
 from edgectl.model.result import ActionResult, Outcome, Phase
@@ -43,6 +44,7 @@ class TrialRecorder:
         self._handoffs: list[HandoffRecord] = []
         self._loads: dict[str, list[LoadSample]] = {}
         self._readings: dict[str, dict[str, list[MetricReading]]] = {}
+        self._latencies: dict[str, dict[str, LatencySample]] = {}
         self._ended_instances: set[str] = set()
         self._given_up: set[str] = set()
 
@@ -130,7 +132,7 @@ class TrialRecorder:
         if sample.state.alive or completed:
             self.places[task] = host
         if sample.instance not in self._ended_instances:
-            for name, value in sample.metrics.items():
+            for name, value in [*sample.metrics.items(), *self._merge_latency(task, sample)]:
                 self._readings.setdefault(name, {}).setdefault(task, []).append(
                     MetricReading(at=at, value=value)
                 )
@@ -139,6 +141,14 @@ class TrialRecorder:
         else:
             self._ended_instances.add(sample.instance)
             self._close_interval((task, host), at)
+
+    def _merge_latency(self, task: str, sample: TaskSample) -> list[tuple[str, float]]:
+        """The latency of a task over the whole trial: the counts of all its instances so far."""
+        if sample.latency is None or not sample.latency.count:
+            return []
+        instances = self._latencies.setdefault(task, {})
+        instances[sample.instance] = sample.latency
+        return list_latency_readings(merge_latencies(instances.values()))
 
     def _record_phase(self, event: ProgressEvent, at: float) -> None:
         if event.stage is ProgressStage.ACTION_END and event.result is not None:

@@ -57,6 +57,7 @@ COLUMNS: Mapping[RowKind, Mapping[str, str]] = {
     RowKind.HANDOFFS: {
         **_name_by_field("at", "task", "host", "previous_host", "outcome", "downtime_s"),
         "duration_s": "seconds",
+        "gap_s": "gap_s",
     },
     RowKind.EVENTS: _name_by_field("at", "id", "kind", "host", "task", "message"),
 }

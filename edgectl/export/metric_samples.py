@@ -3,8 +3,10 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
+from edgectl.agent.link import sketch
 from edgectl.model.assignment import Verdict
 from edgectl.model.inventory import Role
+from edgectl.model.latency import LatencySample
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.resource import Resource
@@ -20,6 +22,7 @@ from edgectl.model.snapshot import (
 )
 
 BUCKETS_S = (0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 120.0)
+LATENCY_BOUNDS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 # States of a task that no host reports: it is not running, or was on a host that is unreachable now.
 STOPPED, UNKNOWN = "stopped", "unknown"
 TASK_STATES = (*(state.value for state in TaskState), STOPPED, UNKNOWN)
@@ -44,11 +47,12 @@ class MetricsInput:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Histogram:
-    """A histogram: number of values up to each of ``BUCKETS_S``, their total number, and their sum (s)."""
+    """A histogram: number of values up to each of ``bounds`` (s), their total number, and their sum (s)."""
 
     counts: tuple[int, ...]
     count: int
     total: float
+    bounds: tuple[float, ...] = BUCKETS_S
 
 
 MetricSample = tuple[tuple[str, ...], float | Histogram | None]
@@ -133,6 +137,45 @@ def sample_app_metrics(picture: MetricsInput) -> Iterable[MetricSample]:
             yield from (
                 ((task, host, name), value) for name, value in sample.metrics.items() if sample.state.alive
             )
+
+
+def sample_latencies(picture: MetricsInput) -> Iterable[MetricSample]:
+    """One histogram per running task whose latency is read: all its values."""
+    return [
+        ((task, host), _build_latency_histogram(latency)) for task, host, latency in _list_latencies(picture)
+    ]
+
+
+def sample_recent_latencies(picture: MetricsInput) -> Iterable[MetricSample]:
+    """One sample per percentile of the latency of each running task."""
+    for task, host, latency in _list_latencies(picture):
+        for percent, value in (("50", latency.p50_ms), ("95", latency.p95_ms), ("99", latency.p99_ms)):
+            yield (task, host, percent), None if value is None else value / 1000.0
+
+
+def count_misses(picture: MetricsInput) -> Iterable[MetricSample]:
+    """One sample per running task with a deadline: its misses."""
+    for task, host, latency in _list_latencies(picture):
+        yield (task, host), None if latency.bound_ms is None else float(latency.misses)
+
+
+def _list_latencies(picture: MetricsInput) -> Iterator[tuple[str, str, LatencySample]]:
+    for host, found in picture.snapshot.hosts.items():
+        for task, sample in found.tasks.items():
+            if sample.state.alive and sample.latency is not None and not sample.latency.error:
+                yield task, host, sample.latency
+
+
+def _build_latency_histogram(latency: LatencySample) -> Histogram:
+    """Up to each bound count the values of its bucket and of those below: up to 2 % above it, none less."""
+    buckets = [(int(bucket), count) for bucket, count in latency.buckets.items()]
+    ends = [sketch.find_bucket(bound * 1000.0) for bound in LATENCY_BOUNDS_S]
+    return Histogram(
+        counts=tuple(sum(count for bucket, count in buckets if bucket <= end) for end in ends),
+        count=latency.count,
+        total=latency.sum_ms / 1000.0,
+        bounds=LATENCY_BOUNDS_S,
+    )
 
 
 def sample_task_states(picture: MetricsInput) -> Iterable[MetricSample]:

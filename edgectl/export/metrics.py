@@ -197,6 +197,26 @@ METRICS = (
         read=metric_samples.sample_app_metrics,
     ),
     MetricDefinition(
+        name="edgectl_task_latency_seconds",
+        help="Latency of the running instance, all its values; a bound counts values up to 2 % above it.",
+        labels=_RUN_LABELS,
+        kind=MetricType.HISTOGRAM,
+        read=metric_samples.sample_latencies,
+    ),
+    MetricDefinition(
+        name="edgectl_task_latency_recent_seconds",
+        help="Percentile of the latency over the last one to two minutes.",
+        labels=(*_RUN_LABELS, "percentile"),
+        read=metric_samples.sample_recent_latencies,
+    ),
+    MetricDefinition(
+        name="edgectl_task_latency_misses_total",
+        help="Latencies of the running instance above the deadline of the task.",
+        labels=_RUN_LABELS,
+        kind=MetricType.COUNTER,
+        read=metric_samples.count_misses,
+    ),
+    MetricDefinition(
         name="edgectl_task_utility",
         help="Total utility of the host chosen for the task, at most 1.",
         labels=_TASK_LABELS,

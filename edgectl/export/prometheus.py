@@ -16,7 +16,7 @@ from prometheus_client.registry import Collector
 
 from edgectl.errors import EdgectlError
 from edgectl.export import metrics
-from edgectl.export.metric_samples import BUCKETS_S, Histogram, MetricsInput
+from edgectl.export.metric_samples import Histogram, MetricsInput
 from edgectl.export.metrics import METRICS, MetricType
 
 # Of a request until it is complete, and of its answer once it is made.
@@ -53,7 +53,7 @@ def _build_metric_family(metric: metrics.MetricDefinition, picture: MetricsInput
 
 
 def _list_buckets(spread: Histogram) -> Iterator[tuple[str, float]]:
-    yield from ((str(bound), count) for bound, count in zip(BUCKETS_S, spread.counts, strict=True))
+    yield from ((str(bound), count) for bound, count in zip(spread.bounds, spread.counts, strict=True))
     yield "+Inf", spread.count
 
 

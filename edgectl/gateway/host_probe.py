@@ -9,6 +9,7 @@ from edgectl.agent.link import protocol
 from edgectl.dataclass import dataclass
 from edgectl.errors import HostError
 from edgectl.gateway.fanout import MAX_PARALLEL_HOSTS, HostAnswer, HostReply, ask_all, fan_out
+from edgectl.gateway.latency import Latencies, decode_latencies, join_latencies
 from edgectl.gateway.link_observations import LinkEnds, decode_link_ends, join_link_ends
 from edgectl.gateway.probe_reply import (
     ReplyContext,
@@ -55,6 +56,7 @@ class ProbeOptions:
     release left them on a host without an owner, the fleet adopts them.
     ``former_hosts``: names of hosts that left the inventory, whose generations each host reports too.
     ``manager_id``: the name by which hosts know this manager.
+    ``placed``: the instance of each task as far as this manager knows it.
     ``probe_idle_links``: also probe the idle links whose turn it is, for at most 0.1 s each (ADR 0077).
     ``on_host`` is called as each host ends, in the caller's thread, with name, sample and seconds;
     ``on_links`` once, with the links by (edge, robot).
@@ -68,6 +70,7 @@ class ProbeOptions:
     known_tasks: Callable[[], frozenset[str]] = frozenset
     former_hosts: frozenset[str] = frozenset()
     manager_id: str = ""
+    placed: Mapping[str, str] = field(default_factory=dict)
     probe_idle_links: bool = False
     on_host: HostCallback = _ignore_host
     on_links: LinksCallback = _ignore_links
@@ -76,7 +79,8 @@ class ProbeOptions:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecodedProbe:
     """The sample of a host, its ends of the links, the tasks whose checks passed there, those that have no
-    owner there, the former names that it has adopted, and its names in the inventories of other managers.
+    owner there, the former names that it has adopted, its names in the inventories of other managers, and
+    what it has counted of the latencies of tasks.
     """
 
     sample: HostSample
@@ -85,6 +89,7 @@ class DecodedProbe:
     unowned: frozenset[str]
     former: frozenset[str]
     elsewhere: frozenset[str] = frozenset()
+    latencies: Latencies = field(default_factory=dict)
 
 
 _Answers = dict[str, HostAnswer[DecodedProbe]]
@@ -133,7 +138,7 @@ def probe_hosts(
     )
     answers = _ask_hosts([host for host in inventory.hosts.values() if host.probe], context)
     answers |= _adopt_and_ask_again(answers, context)
-    samples = _finalize_samples(answers, inventory)
+    samples = join_latencies(_finalize_samples(answers, inventory), _list_latencies(answers), tasks)
     options.on_links(join_link_ends(_list_link_ends(answers), _list_partial_links(samples)))
     return Snapshot(taken_at=clock(), hosts=samples)
 
@@ -145,6 +150,12 @@ def _list_partial_links(samples: Mapping[str, HostSample]) -> frozenset[tuple[st
         for robot, link in sample.links.items()
         if link.partial
     )
+
+
+def _list_latencies(answers: _Answers) -> dict[str, Latencies]:
+    return {
+        name: each.value.latencies for name, each in answers.items() if isinstance(each.value, DecodedProbe)
+    }
 
 
 def _list_link_ends(answers: _Answers) -> dict[str, LinkEnds]:
@@ -179,6 +190,7 @@ def _build_request(host: Host, context: _ProbeContext) -> dict[str, object]:
         former=context.options.former_hosts,
         edges=context.edges,
         manager_id=context.options.manager_id,
+        placed=context.options.placed,
     )
     return request if context.lease is None else {**request, "lease": context.lease.build_claim(host.name)}
 
@@ -194,6 +206,7 @@ def _decode_reply(reply: HostReply, context: _ProbeContext) -> DecodedProbe:
         unowned=decode_unowned_tasks(document),
         former=decode_former_names(document),
         elsewhere=decode_names_elsewhere(document),
+        latencies=decode_latencies(document),
     )
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from edgectl.agent.link import protocol
+from edgectl.gateway.latency import encode_latency_rules
 from edgectl.model.check import Check, CheckLocation
 from edgectl.model.inventory import Host, Inventory, Role
 from edgectl.model.task import DetectRule, Task, Tasks
@@ -24,12 +25,13 @@ def build_probe_request(
     former: frozenset[str] = frozenset(),
     edges: Mapping[str, str] | None = None,
     manager_id: str = "",
+    placed: Mapping[str, str] | None = None,
 ) -> dict[str, object]:
     """The probe request of one host; ``addresses`` are the robots' and ``edges`` the edges' as the network
     knows them.
 
     ``former``: names of hosts that left the inventory, of which this host may be one.
-    ``manager_id``: the name by which hosts know this manager.
+    ``manager_id``: the name by which hosts know this manager. ``placed``: the instance of each task.
     Checks are cut short, so that a slow one fails in time instead of the whole probe.
     """
     longest = max(1.0, timeout_s - window_s - _OVERHEAD_S)
@@ -44,6 +46,7 @@ def build_probe_request(
             for task in tasks.tasks.values()
             if task.done_when and _can_check_done(task, host)
         ],
+        "latency": encode_latency_rules(host, inventory, tasks, placed or {}),
         "former": sorted(former),
         "manager": manager_id,
     }

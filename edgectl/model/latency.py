@@ -1,9 +1,10 @@
 """Latency of a task: where its values come from, how they were counted, how a robot hears a task."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import field
 from enum import StrEnum
 
+from edgectl.agent.link import sketch
 from edgectl.dataclass import dataclass
 from edgectl.model.check import CheckLocation
 from edgectl.model.encoding import in_document
@@ -66,3 +67,33 @@ class LatencySample:
     buckets: Mapping[str, int] = field(default_factory=dict, metadata=in_document())
     recent: Mapping[str, int] = field(default_factory=dict, metadata=in_document())
     error: str = ""
+
+
+def merge_latencies(samples: Iterable[LatencySample]) -> LatencySample:
+    """One sample of all values of several instances, with percentiles over all of them, not the recent."""
+    listed = list(samples)
+    buckets = sketch.merge_buckets(
+        {int(bucket): count for bucket, count in each.buckets.items()} for each in listed
+    )
+    return LatencySample(
+        count=sum(each.count for each in listed),
+        misses=sum(each.misses for each in listed),
+        sum_ms=sum(each.sum_ms for each in listed),
+        bound_ms=listed[-1].bound_ms if listed else None,
+        p50_ms=sketch.find_quantile(buckets, 0.50),
+        p95_ms=sketch.find_quantile(buckets, 0.95),
+        p99_ms=sketch.find_quantile(buckets, 0.99),
+        buckets={str(bucket): buckets[bucket] for bucket in sorted(buckets)},
+    )
+
+
+def list_latency_readings(latency: LatencySample) -> list[tuple[str, float]]:
+    """The known figures of a latency, named as those of application metrics are."""
+    found = {
+        "latency/p50_ms": latency.p50_ms,
+        "latency/p95_ms": latency.p95_ms,
+        "latency/p99_ms": latency.p99_ms,
+        "latency/values": float(latency.count),
+        "latency/misses": None if latency.bound_ms is None else float(latency.misses),
+    }
+    return [(name, value) for name, value in found.items() if value is not None]

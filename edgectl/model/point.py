@@ -98,7 +98,7 @@ class MetricPoint:
 class HandoffPoint:
     """One move or restart that an apply carried out or attempted.
 
-    ``downtime_s``: stop to ready; ``seconds``: all of its phases.
+    ``downtime_s``: stop to ready; ``seconds``: all of its phases. ``gap_s``: as the robot heard it.
     """
 
     at: float
@@ -108,6 +108,7 @@ class HandoffPoint:
     outcome: Outcome
     downtime_s: float | None
     seconds: float
+    gap_s: float | None = None
 
 
 HistoryPoint = HostPoint | LinkPoint | TaskPoint | MetricPoint | HandoffPoint | Event

@@ -20,7 +20,7 @@ class Phase(StrEnum):
     """One part of an action, in the words of the handoff contract.
 
     ``reach`` (the host answers) and ``needs`` (predecessors are far enough) change nothing and are not in
-    results.
+    results. ``heard``: the robot hears the old instance, and later the new one.
     """
 
     REACH = "reach"
@@ -33,6 +33,7 @@ class Phase(StrEnum):
     READY = "ready"
     RELEASE = "release"
     RESTORE = "restore"
+    HEARD = "heard"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,7 +53,8 @@ class ActionResult:
 
     ``downtime_s``: stop to ready of a move or restart; None where there was none. ``host`` and
     ``previous_host`` are the plan's; ``located`` is where the task stands after the action (None: nowhere).
-    ``instance``: the start that was sent last; empty where none was.
+    ``instance``: the start that was sent last; empty where none was. ``gap_s``: the longest silence of the
+    task at its robot, where that is heard.
     """
 
     task: str
@@ -66,6 +68,12 @@ class ActionResult:
     hint: str = ""
     located: str | None = None
     instance: str = ""
+    gap_s: float | None = None
+
+    @property
+    def felt_gap_s(self) -> float | None:
+        """The gap as the robot heard it, else from stop to ready."""
+        return self.downtime_s if self.gap_s is None else self.gap_s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

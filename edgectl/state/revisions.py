@@ -132,6 +132,7 @@ def _decode_action_result(entry: JournalEntry, *, cut_off: bool = False) -> Acti
         if isinstance(phases, list)
         else (),
         downtime_s=_finite_or_none(entry.get("downtime_s")),
+        gap_s=_finite_or_none(entry.get("gap_s")),
         error=_CUT_OFF_ERROR if cut_off else _text_or_empty(entry.get("error")),
         located=_text_or_empty(entry.get("located")) or None,
     )

@@ -70,8 +70,8 @@ def _describe_result(result: ActionResult) -> str:
     seconds = sum(phase.seconds for phase in result.phases)
     parts.append(
         f"took {format_duration(seconds)}"
-        if result.downtime_s is None
-        else f"gap {format_duration(result.downtime_s)}"
+        if result.felt_gap_s is None
+        else f"gap {format_duration(result.felt_gap_s)}{'' if result.gap_s is None else ' heard'}"
     )
     parts += [phase.detail for phase in result.phases if phase.ok and phase.detail]
     return ", ".join(parts)

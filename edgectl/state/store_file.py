@@ -108,17 +108,22 @@ CREATE VIEW metric_samples AS
 # Migrations: the statements that each schema adds to the one before.
 _MIGRATIONS = (_BASE_SCHEMA, _METRICS_SCHEMA)
 SCHEMA_VERSION = len(_MIGRATIONS)
-# Columns of amounts by table. Those of a resource that is newer than the file are added to it; an edgectl
-# that does not know them reads and writes the others.
-_AMOUNT_COLUMNS = {
+# Columns that may be newer than the file, such as those of amounts by resource: they are added to it; an
+# edgectl that does not know them reads and writes the others.
+_ADDED_COLUMNS = {
     "host_samples": dict.fromkeys(HOST_AMOUNT_COLUMNS, "REAL"),
     "uses": dict.fromkeys(TASK_AMOUNT_COLUMNS, "REAL NOT NULL DEFAULT 0"),
+    "actions": {"gap_s": "REAL"},
 }
-_TASK_SAMPLES_VIEW = f"""
+_VIEWS = f"""
 DROP VIEW task_samples;
 CREATE VIEW task_samples AS
   SELECT at, task, host, state, {", ".join(TASK_AMOUNT_COLUMNS)}, instance, spec_hash, age_s, links, start
-  FROM starts JOIN uses USING (start)
+  FROM starts JOIN uses USING (start);
+DROP VIEW handoffs;
+CREATE VIEW handoffs AS
+  SELECT at, task, host, previous_host, outcome, downtime_s, seconds, id, gap_s FROM actions
+  WHERE action IN ('move', 'restart') AND outcome IN ('done', 'failed') AND host IS NOT NULL
 """  # noqa: S608
 
 
@@ -184,10 +189,10 @@ def _create_tables(connection: sqlite3.Connection) -> None:
 
 
 def _list_missing_columns(connection: sqlite3.Connection) -> list[str]:
-    """``table ADD COLUMN column type`` for each resource that is newer than the file."""
+    """``table ADD COLUMN column type`` for each column that is newer than the file."""
     return [
         f"{table} ADD COLUMN {column} {kind}"
-        for table, columns in _AMOUNT_COLUMNS.items()
+        for table, columns in _ADDED_COLUMNS.items()
         for known in [{row[1] for row in connection.execute(f"PRAGMA table_info({table})")}]
         for column, kind in columns.items()
         if column not in known
@@ -200,7 +205,7 @@ def _add_missing_columns(connection: sqlite3.Connection) -> None:
     missing = _list_missing_columns(connection)
     for column in missing:
         connection.execute(f"ALTER TABLE {column}")
-    for statement in _TASK_SAMPLES_VIEW.split(";\n") if missing else ():
+    for statement in _VIEWS.split(";\n") if missing else ():
         connection.execute(statement)
     connection.execute("COMMIT")
 

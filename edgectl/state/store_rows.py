@@ -203,6 +203,7 @@ HANDOFFS = RowMapper(
         "outcome": Outcome,
         "downtime_s": nullable(decode_real),
         "seconds": decode_real,
+        "gap_s": nullable(decode_real),
     },
 )
 EVENTS = RowMapper(
@@ -287,4 +288,5 @@ def encode_action_row(result: ActionResult, revision: int, at: float) -> tuple[o
         result.downtime_s,
         seconds,
         result.error,
+        result.gap_s,
     )

@@ -5,10 +5,11 @@ import sqlite3
 from collections.abc import Iterable, Sequence
 
 from edgectl.model.event import Event, EventKind
+from edgectl.model.latency import list_latency_readings
 from edgectl.model.plan import Action, Plan
 from edgectl.model.point import TASK_AMOUNT_COLUMNS, LinkPoint, TaskPoint, get_columns
 from edgectl.model.result import Results
-from edgectl.model.snapshot import HostStatus, Snapshot, TaskState
+from edgectl.model.snapshot import HostStatus, Snapshot, TaskSample, TaskState
 from edgectl.state import store_rows as rows
 from edgectl.state.store_events import KnownFleet, KnownHost, KnownTask
 from edgectl.state.store_rows import DamagedRowError
@@ -76,7 +77,7 @@ def _write_metric_readings(connection: sqlite3.Connection, snapshot: Snapshot) -
         ((name, host, task.instance, task.spec_hash), metric, value)
         for host, sample in snapshot.hosts.items()
         for name, task in sample.tasks.items()
-        for metric, value in task.metrics.items()
+        for metric, value in [*task.metrics.items(), *_list_readings(task)]
     ]
     connection.executemany(
         "INSERT OR IGNORE INTO metrics (start, name)"
@@ -90,6 +91,11 @@ def _write_metric_readings(connection: sqlite3.Connection, snapshot: Snapshot) -
         " (SELECT value FROM readings WHERE metric = metrics.metric AND at < ?1 ORDER BY at DESC LIMIT 1)",
         [(snapshot.taken_at, value, metric, *start) for start, metric, value in said],
     )
+
+
+def _list_readings(task: TaskSample) -> list[tuple[str, float]]:
+    """The latency of a task, which changes with every value."""
+    return [] if task.latency is None else list_latency_readings(task.latency)
 
 
 def write_plan(connection: sqlite3.Connection, made: Plan) -> None:
@@ -126,7 +132,9 @@ def _is_notable(action: Action) -> bool:
 
 def write_actions(connection: sqlite3.Connection, results: Results, at: float) -> None:
     """Insert every action of an apply that ended at ``at``."""
-    columns = "at, revision, task, action, outcome, host, previous_host, located, downtime_s, seconds, error"
+    columns = (
+        "at, revision, task, action, outcome, host, previous_host, located, downtime_s, seconds, error, gap_s"
+    )
     _insert_rows(
         connection,
         "actions",

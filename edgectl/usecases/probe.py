@@ -48,6 +48,7 @@ def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
         known_tasks=lambda: _list_known_tasks(fleet),
         former_hosts=_list_former_hosts(fleet),
         manager_id=find_holder_id(fleet),
+        placed=_list_instances(fleet),
     )
     fenced = load_heartbeats(fleet.state, fleet.warn).fenced
     with track_heartbeats(fleet) as tracked:
@@ -80,6 +81,14 @@ def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
 def _list_known_tasks(fleet: Fleet) -> frozenset[str]:
     """Tasks of the files, and tasks that this manager has placed."""
     return frozenset(fleet.tasks.tasks) | frozenset(load_manager_state(fleet.state, fleet.warn).placements)
+
+
+def _list_instances(fleet: Fleet) -> dict[str, str]:
+    """The instance of each task as this manager placed it; read only where a latency is measured."""
+    if all(task.latency is None for task in fleet.tasks.tasks.values()):
+        return {}
+    placements = load_manager_state(fleet.state, fleet.warn).placements
+    return {task: placement.instance for task, placement in placements.items()}
 
 
 def _list_former_hosts(fleet: Fleet) -> frozenset[str]:

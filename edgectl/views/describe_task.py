@@ -6,6 +6,7 @@ from edgectl.formats.document import Document
 from edgectl.model.check import Check
 from edgectl.model.event import Event
 from edgectl.model.inventory import Inventory
+from edgectl.model.latency import HeardRule, LatencyRule, LatencySample
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Step
 from edgectl.model.resource import RESOURCES
@@ -16,6 +17,7 @@ from edgectl.views import metrics
 from edgectl.views.describe import Field, format_pairs, render_events_section, render_fields, render_section
 from edgectl.views.events import encode_event
 from edgectl.views.glossary import head
+from edgectl.views.latency import format_ms
 from edgectl.views.output import ItemView
 from edgectl.views.output_format import ITEM_FORMATS
 from edgectl.views.reasons import describe_reason
@@ -75,6 +77,7 @@ class TaskDetailsView(ItemView):
         return [
             render_section(f"On {host}", _render_run_rows(sample, self._snapshot.taken_at), look),
             render_section(f"Usage on {host}", usage, look, right={1, 2, 3}),
+            render_section(f"Latency on {host}", _render_latency(sample.latency), look),
             render_section(f"Metrics on {host}", measured, look),
             render_section("Last output", [(line,) for line in sample.log_tail], look),
         ]
@@ -117,7 +120,9 @@ def _list_spec_fields(stated: Task) -> list[Field]:
         ("Robots", ", ".join(stated.robots)),
         ("Needs", ", ".join(f"{need.task} ({need.until})" for need in stated.needs)),
         ("Priority", f"{stated.priority:g}" if stated.priority else ""),
-        ("Deadline", "" if stated.deadline is None else format_duration(stated.deadline)),
+        ("Deadline", _format_deadline(stated)),
+        ("Latency", _format_latency_rule(stated.latency)),
+        ("Heard", _format_heard(stated.heard)),
         ("Labels", format_pairs(stated.labels)),
         ("Hosts", _format_host_rules(stated)),
         ("Ready", _format_check(stated.ready)),
@@ -140,6 +145,25 @@ def _list_spec_fields(stated: Task) -> list[Field]:
         ("Environment", format_pairs(stated.env)),
         ("Env command", " ".join(stated.env_command)),
     ]
+
+
+def _format_deadline(stated: Task) -> str:
+    if stated.deadline is None:
+        return ""
+    return format_duration(stated.deadline) + (", hard" if stated.hard_deadline else "")
+
+
+def _format_latency_rule(rule: LatencyRule | None) -> str:
+    if rule is None:
+        return ""
+    return f"metric {rule.metric}" if rule.metric else f"{rule.stamp} of topic {rule.topic} on {rule.on}"
+
+
+def _format_heard(heard: HeardRule | None) -> str:
+    if heard is None:
+        return ""
+    what = f"topic {heard.topic}" if heard.topic else repr(heard.command)
+    return f"{what} on robot within {format_duration(heard.within)}"
 
 
 def _format_check(check: Check | None) -> str:
@@ -236,6 +260,28 @@ def _render_run_rows(sample: TaskSample, now: float) -> list[Row]:
     return [field for field in found if field[1]]
 
 
+def _render_latency(latency: LatencySample | None) -> list[Row]:
+    if latency is None:
+        return []
+    if latency.error or not latency.count:
+        return [("State:", latency.error or "no value yet")]
+    percentiles = {"p50": latency.p50_ms, "p95": latency.p95_ms, "p99": latency.p99_ms, "max": latency.max_ms}
+    recent = ", ".join(
+        f"{name} {format_ms(value)}" for name, value in percentiles.items() if value is not None
+    )
+    values = f"{latency.recent_count} values in {format_duration(latency.recent_s)}"
+    found: list[Row] = [
+        ("Recent:", f"{recent} of {values}" if recent else "no value in the last minutes"),
+        ("Mean:", f"{format_ms(latency.sum_ms / latency.count)} of {latency.count} values of this instance"),
+    ]
+    if latency.bound_ms is not None:
+        missed = f"{latency.recent_misses} recently, {latency.misses} of this instance"
+        found.append(("Misses:", f"{missed} above {format_ms(latency.bound_ms)}"))
+    if latency.age_s is not None:
+        found.append(("Last value:", f"{format_duration(latency.age_s)} ago"))
+    return found
+
+
 def _format_ago(at: float, now: float) -> str:
     """An instant, and the time that has passed since."""
     return f"{format_instant(int(at))} ({format_duration(max(0.0, now - at))})"
@@ -269,6 +315,7 @@ def _encode_task_spec(stated: Task) -> Document:
         "needs": [{"task": need.task, "until": need.until.value} for need in stated.needs],
         "priority": stated.priority,
         "deadline_s": stated.deadline,
+        "hard_deadline": stated.hard_deadline,
         "labels": dict(stated.labels),
         "restart": stated.restart.value,
         "handoff": {

@@ -25,13 +25,14 @@ _ABSENT_TASK = ("task", "host", "taken_at", "state", "contacted_at", "managed")
 _RUN = (
     "task", "host", "taken_at", "state", "detail", "age_s", "started_at", "ended_at", *_RESOURCES, "restarts",
     "pid", "instance", "generation", "managed", "given_up", "exit_code", "last_exit", "enforcement",
-    "partial", "log_tail", "metrics",
+    "partial", "log_tail", "metrics", "latency",
 )  # fmt: skip
 _TASK = (*_RUN, "contacted_at", "in_files", "task_kind", "robot_names", "needs", "labels")
 _LINK = ("edge", "robot", "taken_at", *_LINK_SAMPLE)
 _EVENT = ("id", "at", "kind", "host", "task", "message")
 _ACTION = (
-    "task", "action", "outcome", "host", "previous_host", "located", "downtime_s", "phases", "error", "hint",
+    "task", "action", "outcome", "host", "previous_host", "located", "downtime_s", "gap_s", "phases",
+    "error", "hint",
 )  # fmt: skip
 _RESULT = ("revision", "duration_s", "done", "interrupted", "actions")
 _REVISION = ("revision", "started_at", "user", "verb", "outcome", "duration_s", "counts")
@@ -120,6 +121,10 @@ INNER_KEYS: KeysByName = {
         "rx_bytes_per_s", "tx_bytes_per_s", "speed_bytes_per_s", "level_dbm", "retries_per_s", "access_point",
         "joined_s",
     ),
+    "latency": (
+        "count", "misses", "bound_ms", "p50_ms", "p95_ms", "p99_ms", "max_ms", "recent_s", "recent_count",
+        "recent_misses", "age_s", "error",
+    ),
     "left": ("task", "host"),
     "links": _LINK_SAMPLE,
     "maps": _ESTIMATE,
@@ -144,7 +149,7 @@ INNER_KEYS: KeysByName = {
     ),
     "spec": (
         "template", "task_kind", "managed", "command", "node_names", "robot_names", "needs", "priority",
-        "deadline_s", "labels", "restart", "handoff", "on_unreachable", "env",
+        "deadline_s", "hard_deadline", "labels", "restart", "handoff", "on_unreachable", "env",
     ),
     "utilisation": ("mean", "peak"),
 }  # fmt: skip

@@ -8,10 +8,10 @@ from edgectl.model.explanation import ChangeKind, Explanation, FirstMove, Flip, 
 from edgectl.model.plan import Action, Step
 from edgectl.model.resource import RESOURCES_BY_NAME
 from edgectl.views.glossary import head, list_shown_weights
-from edgectl.views.latency import encode_latencies, render_latencies
 from edgectl.views.output import ItemView
 from edgectl.views.output_format import WIDE_FORMATS
 from edgectl.views.plan_sections import format_utility
+from edgectl.views.predicted_latency import encode_latencies, render_latencies
 from edgectl.views.reasons import describe_reason, join_words
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns, style_text, wrap_text
 

@@ -1,48 +1,71 @@
-"""Predicted latencies of an explanation: milliseconds, and what each part costs."""
+"""Latency of tasks: percentiles and misses."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
-from edgectl.formats.codec import encode
-from edgectl.formats.document import Document
-from edgectl.model.assignment import RankedHost
-from edgectl.model.explanation import Explanation
-from edgectl.model.predicted_latency import PredictedLatency
-from edgectl.views.text import RenderOptions, wrap_text
+from edgectl.formats.document import Document, without_none
+from edgectl.model.latency import LatencySample
+from edgectl.model.snapshot import TaskSample
+from edgectl.views.glossary import head
+from edgectl.views.text import Cell, Row
+from edgectl.views.usage import format_or_dash
+
+_HEAD = head(
+    "task", "host", "p50_ms", "p95_ms", "p99_ms", "max_ms", "bound_ms", "recent_misses", "misses", "count"
+)
+# Columns of numbers.
+RIGHT_COLUMNS = frozenset(range(2, len(_HEAD)))
 
 
-def render_latencies(value: Explanation, look: RenderOptions, *, every: bool) -> str:
-    """One line for the chosen host and one for the runner-up; ``every``: for every host with a prediction."""
-    lines = (
-        f"{entry.host}: {describe_latency(entry.predicted_latency, value.deadline_ms)}"
-        for entry in _list_predicted(value)
-        if entry.predicted_latency is not None
-        and (every or entry.host in (value.decision.host, value.runner_up))
+def format_ms(value: float) -> str:
+    """Three digits: ``0.25 ms``, ``12.3 ms``, ``1250 ms``."""
+    return f"{value:.0f} ms" if value >= 100 else f"{value:.3g} ms"
+
+
+def render_latency_rows(runs: Iterable[tuple[str, str, TaskSample]]) -> list[Row]:
+    """A row for each of the runs (task, host) whose latency is read, with headings; empty where none is."""
+    rows = [
+        (Cell(task, "name"), host, *_render_cells(sample.latency))
+        for task, host, sample in runs
+        if sample.latency is not None
+    ]
+    return [_HEAD, *rows] if rows else []
+
+
+def _render_cells(latency: LatencySample) -> Row:
+    percentiles = (latency.p50_ms, latency.p95_ms, latency.p99_ms, latency.max_ms, latency.bound_ms)
+    bounded = latency.bound_ms is not None
+    return (
+        *(format_or_dash(value, format_ms) for value in percentiles),
+        Cell(str(latency.recent_misses), "bad" if latency.recent_misses else "") if bounded else "-",
+        str(latency.misses) if bounded else "-",
+        str(latency.count),
     )
-    return "".join(wrap_text(line, look) for line in lines)
 
 
-def describe_latency(predicted: PredictedLatency, deadline_ms: float | None) -> str:
-    """``51 ms at p95 of 100 ms (p50 45, p99 60): 31 ms service at 60% load, 12 ms transfer, 4 ms rtt``."""
-    bound = "" if deadline_ms is None else f" of {deadline_ms:.0f} ms"
-    waiting = f" + {predicted.waiting_ms:.0f} ms waiting" if predicted.waiting_ms >= 0.5 else ""
-    parts = [f"{predicted.service_ms:.0f} ms service{waiting} at {predicted.load:.0%} load"]
-    if predicted.transfer_ms or predicted.rtt_ms:
-        parts += [f"{predicted.transfer_ms:.0f} ms transfer", f"{predicted.rtt_ms:.0f} ms rtt"]
-    elsewhere = "; service time of another class of hosts" if predicted.elsewhere else ""
-    percentiles = f"(p50 {predicted.p50_ms:.0f}, p99 {predicted.p99_ms:.0f})"
-    return f"{predicted.p95_ms:.0f} ms at p95{bound} {percentiles}: {', '.join(parts)}{elsewhere}"
+def list_latency_notes(runs: Iterable[tuple[str, str, TaskSample]]) -> list[str]:
+    """Why the latency of a task is not read."""
+    return [
+        f"latency of {task} is not known: {sample.latency.error}"
+        for task, _, sample in runs
+        if sample.latency is not None and sample.latency.error
+    ]
 
 
-def encode_latencies(value: Explanation) -> Document:
-    """The predictions by host, and the deadline."""
-    found = {
-        entry.host: encode(entry.predicted_latency)
-        for entry in _list_predicted(value)
-        if entry.predicted_latency is not None
-    }
-    deadline = value.deadline_ms
-    return {"deadline_s": None if deadline is None else deadline / 1000.0, "latencies": found}
-
-
-def _list_predicted(value: Explanation) -> Sequence[RankedHost]:
-    return [entry for entry in value.decision.ranking if entry.predicted_latency is not None]
+def encode_latency(latency: LatencySample | None) -> Document | None:
+    """The latency as JSON types, without its buckets; those are in the snapshot."""
+    if latency is None:
+        return None
+    return without_none(
+        count=latency.count,
+        misses=latency.misses,
+        bound_ms=latency.bound_ms,
+        p50_ms=latency.p50_ms,
+        p95_ms=latency.p95_ms,
+        p99_ms=latency.p99_ms,
+        max_ms=latency.max_ms,
+        recent_s=latency.recent_s,
+        recent_count=latency.recent_count,
+        recent_misses=latency.recent_misses,
+        age_s=latency.age_s,
+        error=latency.error or None,
+    )

@@ -108,11 +108,17 @@ def _render_action_row(action: ActionResult) -> Row:
 def format_action_result(action: ActionResult) -> str:
     """The phases of one action, the gap that it caused, and its error."""
     parts = [" > ".join(_format_phase_result(phase) for phase in action.phases)] if action.phases else []
-    if action.downtime_s is not None:
-        parts.append(f"gap {format_duration(action.downtime_s)}")
+    if action.felt_gap_s is not None:
+        parts.append(format_gap(action))
     if action.error and not any(phase.detail == action.error for phase in action.phases if not phase.ok):
         parts.append(action.error)
     return "; ".join(parts) or str(action.action)
+
+
+def format_gap(action: ActionResult) -> str:
+    """The gap of a move: as its robot heard it, else from stop to ready."""
+    heard = "" if action.gap_s is None else " heard"
+    return f"gap {format_duration(action.felt_gap_s or 0.0)}{heard}"
 
 
 def _format_phase_result(phase: PhaseResult) -> str:
@@ -148,6 +154,7 @@ def encode_action_result(action: ActionResult) -> Document:
         "previous_host": action.previous_host,
         "located": action.located,
         "downtime_s": action.downtime_s,
+        "gap_s": action.gap_s,
         "phases": [_encode_phase_result(phase) for phase in action.phases],
     }
     return document | without_none(error=action.error or None, hint=action.hint or None)

@@ -6,6 +6,7 @@ from edgectl.model.resource import HOST_RESOURCES, RESOURCES, TASK_RESOURCES
 from edgectl.model.snapshot import DeviceSample, HostSample, LinkSample, Snapshot, TaskSample
 from edgectl.model.task import Task, Tasks
 from edgectl.units import format_instant
+from edgectl.views.latency import encode_latency
 from edgectl.views.other_tasks import encode_other_tasks
 from edgectl.views.state import format_operator_mark, resolve_absent_task
 from edgectl.views.usage import Amounts, compute_task_demand, subtract_demand
@@ -158,6 +159,7 @@ def encode_run_row(name: str, host: str, sample: TaskSample, demand: Amounts, va
         partial=sample.partial or None,
         log_tail=list(sample.log_tail) or None,
         metrics=dict(sample.metrics) or None,
+        latency=encode_latency(sample.latency),
     )
 
 

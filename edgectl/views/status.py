@@ -13,6 +13,7 @@ from edgectl.rules.lost_places import describe_lost_place
 from edgectl.rules.overuse import find_overuses
 from edgectl.units import format_duration
 from edgectl.views.glossary import head
+from edgectl.views.latency import RIGHT_COLUMNS, list_latency_notes, render_latency_rows
 from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import ListView
 from edgectl.views.output_format import FLEET_FORMATS
@@ -126,9 +127,14 @@ class StatusView(ListView):
             f"{task} on {host} is cut off from {robot}: the link is down, and both answer edgectl"
             for task, host, robot in list_cut_off_tasks(self._tasks, self._snapshot)
         ]
-        return "".join(style_text(wrap_text(line, look), "bad", look) for line in first) + render_columns(
-            rows, look, right=right, wrap={2}
-        )
+        head_lines = [style_text(wrap_text(line, look), "bad", look) for line in first]
+        table = render_columns(rows, look, right=right, wrap={2})
+        measured = render_latency_rows(self._list_alive_runs())
+        below = render_columns(measured, look, right=set(RIGHT_COLUMNS))
+        return "".join([*head_lines, table, below and "\n" + below])
+
+    def _list_alive_runs(self) -> list[tuple[str, str, TaskSample]]:
+        return [run for run in list_task_runs(self._snapshot) if run[2].state.alive]
 
     def notes(self) -> Sequence[str]:
         """The warnings, and remarks on tasks that stand in their rows in documents."""
@@ -203,6 +209,7 @@ class StatusView(ListView):
             *list_foreign_notes(self._snapshot),
             *(found.describe() for found in self._shortages),
             *map(describe_overuse, find_overuses(self._inventory, self._tasks, self._snapshot)),
+            *list_latency_notes(self._list_alive_runs()),
         ]
 
     def names(self) -> Sequence[str]:

@@ -11,7 +11,7 @@ from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
 from edgectl.names import natural_key
 from edgectl.units import format_duration, format_instant
-from edgectl.views import metrics
+from edgectl.views import latency, metrics
 from edgectl.views.glossary import get_flat_used_key, head
 from edgectl.views.output import ListView
 from edgectl.views.output_format import WIDE_FORMATS
@@ -61,7 +61,7 @@ class TopTasksView(ListView):
         self._points = group_points_by_task(points)
 
     def table(self, look: RenderOptions = PLAIN) -> str:
-        """One line per task; then the metrics that applications report."""
+        """One line per task; then latencies, and the metrics that applications report."""
         return self._render(look, wide=False)
 
     def wide(self, look: RenderOptions = PLAIN) -> str:
@@ -82,8 +82,12 @@ class TopTasksView(ListView):
             histories.append((used, max([demand.get(CPU.name) or 0.0, *used])))
         right = _RIGHT_COLUMNS | _WIDE_RIGHT_COLUMNS if wide else _RIGHT_COLUMNS
         body = render_with_sparklines(rows, histories, look, right=right)
-        reported = render_columns(metrics.render_metrics_rows(runs), look)
-        return body + (reported and "\n" + reported)
+        measured = latency.render_latency_rows(runs)
+        below = [
+            render_columns(measured, look, right=set(latency.RIGHT_COLUMNS)),
+            render_columns(metrics.render_metrics_rows(runs), look),
+        ]
+        return "\n".join([body, *filter(None, below)])
 
     def _list_idle_notes(self) -> list[str]:
         """How many tasks do not run, and those of which it is not known because their host is silent."""
@@ -117,7 +121,12 @@ class TopTasksView(ListView):
 
     def warnings(self) -> Sequence[str]:
         """Tasks that do not run, and hosts without a reply."""
-        return [*self._list_idle_notes(), *list_snapshot_notes(self._snapshot)]
+        runs = _list_running_tasks(self._snapshot)
+        return [
+            *self._list_idle_notes(),
+            *list_snapshot_notes(self._snapshot),
+            *latency.list_latency_notes(runs),
+        ]
 
 
 def group_points_by_task(points: Iterable[TaskPoint]) -> dict[str, list[TaskPoint]]:

@@ -154,6 +154,7 @@ def _encode_cycle_action(action: ActionResult) -> Document:
         previous_host=action.previous_host,
         located=action.located,
         downtime_s=action.downtime_s,
+        gap_s=action.gap_s,
         error=action.error or None,
     )
 

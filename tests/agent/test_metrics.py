@@ -101,7 +101,7 @@ def test_only_a_file_is_read_and_kept_small(tmp_path: Path, make: Callable[[Path
     make(tmp_path / "metrics")
     before = sorted((path.name, path.lstat().st_mode, path.lstat().st_size) for path in tmp_path.iterdir())
     assert metrics.read_metrics(str(tmp_path)) == {}
-    assert metrics.limit_metrics_file(str(tmp_path)) > 0
+    assert metrics.limit_metrics_file(str(tmp_path))[0] > 0
     assert before == sorted(
         (path.name, path.lstat().st_mode, path.lstat().st_size) for path in tmp_path.iterdir()
     )

@@ -1,7 +1,11 @@
 """The record of a trial: each instant is that of the event itself, not of its observation."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
+import pytest
+
+from edgectl.agent.link import sketch
 from edgectl.experiments.model.experiment import (
     HandoffRecord,
     LoadSample,
@@ -11,6 +15,7 @@ from edgectl.experiments.model.experiment import (
 )
 from edgectl.experiments.trial_recorder import TrialRecorder
 from edgectl.model.cycle import Cycle
+from edgectl.model.latency import LatencySample
 from edgectl.model.plan import Action, Plan
 from edgectl.model.policy import Policy
 from edgectl.model.progress import ProgressEvent, ProgressStage
@@ -132,6 +137,27 @@ def test_readings_are_taken_while_a_task_runs_and_once_when_it_is_over() -> None
         MetricReading(at=5.0, value=12.0),
         MetricReading(at=8.0, value=14.0),
     )
+
+
+def test_latency_of_a_trial_is_that_of_all_instances_of_a_task() -> None:
+    recorder = TrialRecorder({"slam"})
+
+    def sample(instance: str, values: Sequence[float]) -> TaskSample:
+        counted = sketch.merge_buckets({sketch.find_bucket(value): 1} for value in values)
+        late = sum(value > 50 for value in values)
+        buckets = {str(bucket): count for bucket, count in counted.items()}
+        latency = LatencySample(count=len(values), misses=late, bound_ms=50.0, buckets=buckets)
+        return replace(a_task(latency=latency), instance=instance)
+
+    values = [float(value) for value in range(1, 101)]
+    recorder.record_cycle(a_cycle(0.0, {"edge1": {"slam": sample("a", values[:40])}}))
+    recorder.record_cycle(a_cycle(2.0, {"edge1": {"slam": sample("a", values[:90])}}))
+    recorder.record_cycle(a_cycle(4.0, {"edge2": {"slam": sample("b", values[90:])}}))
+    readings = record(recorder).readings
+    last = {name: found["slam"][-1].value for name, found in readings.items()}
+    assert (last["latency/values"], last["latency/misses"]) == (100.0, 50.0)
+    assert last["latency/p95_ms"] == pytest.approx(95.0, rel=0.01)
+    assert last["latency/p50_ms"] == pytest.approx(50.0, rel=0.01)
 
 
 def test_a_host_that_is_silent_has_no_load_and_keeps_its_tasks() -> None:

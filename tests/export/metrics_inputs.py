@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 
+from edgectl.agent.link import sketch
 from edgectl.executor.diff import plan_from_assignment
 from edgectl.export.metric_samples import MetricsInput
+from edgectl.model.latency import LatencySample
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action
 from edgectl.model.resource import Usage
@@ -53,7 +55,11 @@ def a_metrics_input(*revisions: Revision) -> MetricsInput:
         restarts=2,
         spec_hash="hash-slam",
     )
-    run = replace(run, metrics={"fps": 29.5, "map/loss:train.1": -1e300})
+    latency = LatencySample(
+        count=3, misses=1, sum_ms=260.0, bound_ms=100.0, p50_ms=50.0, p95_ms=200.0, p99_ms=200.0,
+        buckets={str(sketch.find_bucket(value)): 1 for value in (10.0, 50.0, 200.0)},
+    )  # fmt: skip
+    run = replace(run, metrics={"fps": 29.5, "map/loss:train.1": -1e300}, latency=latency)
     over = a_run(TaskState.COMPLETED, metrics={"done": 1.0})
     edge = replace(
         a_sample(used=0.9, used_memory=5e8, links={"robot1": LINK}, tasks={"slam": run, "job": over}),

@@ -25,7 +25,19 @@ from tests.docs.metrics import page as listed
 from tests.export.metrics_inputs import a_metrics_input, a_move, a_revision
 from tests.pace import patience
 
-LABELS = {"host", "role", "edge", "robot", "task", "state", "action", "outcome", "version", "name"}
+LABELS = {
+    "host",
+    "role",
+    "edge",
+    "robot",
+    "task",
+    "state",
+    "action",
+    "outcome",
+    "version",
+    "name",
+    "percentile",
+}
 
 
 def parse_page(seen: MetricsInput) -> dict[str, float]:
@@ -94,12 +106,24 @@ def test_runs_and_decisions(page: dict[str, float]) -> None:
     assert page["edgectl_task_network_used_bytes_per_second{host=edge1,task=slam}"] == 3e5
     assert page["edgectl_task_app_metric{host=edge1,name=fps,task=slam}"] == 29.5
     assert page["edgectl_task_app_metric{host=edge1,name=map/loss:train.1,task=slam}"] == -1e300
+
     assert not [name for name in page if "name=done" in name], "a job that is over says nothing any more"
     assert page["edgectl_task_unplaced{task=big}"] == page["edgectl_task_unplaced{task=camera}"] == 1.0
     assert page["edgectl_task_unplaced{task=slam}"] == 0.0
     assert page["edgectl_plan_actions{action=unplaced}"] == 2.0
     assert page["edgectl_plan_actions{action=start}"] == 0.0
     assert page["edgectl_plan_settled"] == 1.0
+
+
+def test_latency_is_a_histogram_of_all_values_and_percentiles_of_the_recent(page: dict[str, float]) -> None:
+    counts = {
+        bound: page[f"edgectl_task_latency_seconds_bucket{{host=edge1,le={bound},task=slam}}"]
+        for bound in ("0.005", "0.01", "0.02", "0.05", "0.1", "0.2", "+Inf")
+    }
+    assert list(counts.values()) == [0, 1, 1, 2, 2, 3, 3]
+    assert page["edgectl_task_latency_seconds_sum{host=edge1,task=slam}"] == 0.26
+    assert page["edgectl_task_latency_recent_seconds{host=edge1,percentile=95,task=slam}"] == 0.2
+    assert page["edgectl_task_latency_misses_total{host=edge1,task=slam}"] == 1.0
 
 
 def test_totals_are_those_of_the_plan() -> None:
@@ -225,7 +249,8 @@ def test_there_are_no_more_series_than_the_page_of_the_docs_says() -> None:
         r"at most 13 series\s+per host, 3 per link, 12 per task and 6 more for each host on which it runs, and 60 others",
         said,
     )
-    assert len(lines) <= 13 * hosts + 3 * links + 12 * tasks + 6 * runs + 60 + said_of_themselves
+    assert "19 where a latency is measured" in said
+    assert len(lines) <= 13 * hosts + 3 * links + 12 * tasks + (6 + 19) * runs + 60 + said_of_themselves
 
 
 def test_the_list_of_the_docs_is_current() -> None:

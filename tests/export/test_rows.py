@@ -49,7 +49,7 @@ ROWS: dict[RowKind, dict[str, object]] = {
                  "used_bytes": 200000000, "used_bytes_per_s": 0, "links": 2, "age_s": 12, "instance": "i-1", "spec_hash": "h-1"},
     RowKind.METRICS: {"at": "2025-11-21T01:53:20Z", "task": "slam", "host": "edge1", "name": "map/loss", "value": -1e-07, "instance": "i-1"},
     RowKind.HANDOFFS: {"at": "2025-11-21T01:53:20Z", "task": "slam", "host": "edge2", "previous_host": "edge1", "outcome": "done",
-                    "downtime_s": 0.5, "duration_s": 2},
+                    "downtime_s": 0.5, "duration_s": 2, "gap_s": None},
     RowKind.EVENTS: {"at": "2025-11-21T01:53:20Z", "id": 7, "kind": "task-failed", "host": "edge1", "task": "slam", "message": escape_unprintable(AWKWARD)},
 }  # fmt: skip
 

@@ -155,6 +155,7 @@ def test_a_key_of_the_glossary_is_in_some_document() -> None:
 NOT_IN_THE_SAMPLES = {
     "ended_at", "exit_code", "given_up", "gpu_share", "boot_id", "clock_skew_s", "enforcement", "partial", "log_tail", "level_dbm",
     "retries_per_s", "access_point", "joined_s", "counters",
+    "latency", "count", "misses", "bound_ms", "p50_ms", "p95_ms", "p99_ms", "max_ms", "recent_s", "recent_count", "recent_misses",
     "object", "type", "speed_bytes_per_s", "resident", "user", "hold", "release", "proxy_jump", "cut_off_from",
 }  # fmt: skip
 

@@ -7,6 +7,7 @@ import yaml
 
 from edgectl.model.check import Check
 from edgectl.model.demand import Demand, Quantity
+from edgectl.model.latency import LatencySample
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.point import HostPoint, TaskPoint
 from edgectl.model.resource import Usage
@@ -207,6 +208,25 @@ def saying() -> Snapshot:
     return replace(
         snapshot(), hosts={**snapshot().hosts, "edge1": replace(snapshot().hosts["edge1"], tasks=runs)}
     )
+
+
+def test_latencies_stand_below_without_a_deadline_without_misses() -> None:
+    late = LatencySample(
+        count=2400, misses=31, bound_ms=100.0, recent_count=1200, recent_misses=4, p50_ms=20.4, p95_ms=61.0, p99_ms=123.4, max_ms=180.0, recent_s=92.0,
+    )  # fmt: skip
+    runs = {
+        "slam": replace(RUNS["slam"], latency=late),
+        "detection": replace(RUNS["detection"], latency=LatencySample(error="no rclpy")),
+        "dead": replace(RUNS["dead"], latency=late),
+    }
+    edge1 = replace(snapshot().hosts["edge1"], tasks=runs)
+    shown = tasks(value=replace(snapshot(), hosts={**snapshot().hosts, "edge1": edge1}))
+    assert (
+        "\nTASK       HOST       P50    P95     P99     MAX  DEADLINE  RECENT MISSES  MISSES  VALUES\n"
+        "detection  edge1        -      -       -       -         -              -       -       0\n"
+        "slam       edge1  20.4 ms  61 ms  123 ms  180 ms    100 ms              4      31    2400\n"
+    ) in shown
+    assert "latency of detection is not known: no rclpy" in shown
 
 
 def test_what_applications_say_of_themselves_stands_below() -> None:

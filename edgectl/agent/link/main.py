@@ -117,6 +117,8 @@ def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C90
         from ..ros.question import run_check as operation
     elif name == protocol.OP_GRAPH:
         from ..ros.live import describe_graph as operation
+    elif name == protocol.OP_HEAR:
+        from ..ros.heard import hear as operation
     elif name == protocol.OP_LEASE:
         from ..supervise.lease import serve_lease as operation
     elif name == protocol.OP_LOGS:

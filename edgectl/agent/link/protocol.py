@@ -15,6 +15,7 @@ OP_FETCH = "fetch"
 OP_FOLLOW = "follow"
 OP_FORGET = "forget"
 OP_GRAPH = "graph"
+OP_HEAR = "hear"
 OP_LEASE = "lease"
 OP_LOGS = "logs"
 OP_MARK = "mark"
@@ -52,10 +53,22 @@ REQUEST_KEYS = {
     OP_FOLLOW: ("task", "tail"),
     OP_FORGET: ("task", "master", "nodes"),
     OP_GRAPH: ("version", "ros", "env", "timeout_s"),
+    OP_HEAR: (
+        "task",
+        "watch",
+        "action",
+        "topic",
+        "command",
+        "prelude",
+        "ros",
+        "env",
+        "after_s",
+        "timeout_s",
+    ),
     OP_LEASE: ("action", "lease", "end_watch"),
     OP_LOGS: ("task", "tail"),
     OP_MARK: ("task", "instance", "ready"),
-    OP_PROBE: ("window_s", "links", "peers", "detect", "checks", "former", "manager"),
+    OP_PROBE: ("window_s", "links", "peers", "detect", "checks", "latency", "former", "manager"),
     OP_PROFILER_START: ("every_s", "ttl_s", "links", "peers", "detect"),
     OP_PROFILER_STATUS: ("links", "peers", "detect"),
     OP_PROFILER_STOP: (),
@@ -161,7 +174,21 @@ PROBE_KEYS = (
     "counters",
     "links",
     "lease",
+    "latencies",
     "tasks",
+)
+# Keys of an entry of ``latencies`` there: counts of the values (ms) of a task, in buckets of ``sketch``.
+LATENCY_KEYS = (
+    "count",
+    "misses",
+    "sum_ms",
+    "age_s",
+    "buckets",
+    "recent",
+    "recent_s",
+    "recent_misses",
+    "recent_max_ms",
+    "error",
 )
 
 # States of a task: key ``state`` of its entry. An entry is never STOPPED: a stopped task is left out.

@@ -95,7 +95,7 @@ def parse_metrics(data: bytes, most: int = protocol.MAX_TASK_METRICS) -> "dict[s
         words = line.split()
         if len(words) != 2 or words[0] in found:
             continue
-        value = _parse_value(words[1]) if protocol.is_metric_name(words[0].decode("latin-1")) else None
+        value = parse_value(words[1]) if protocol.is_metric_name(words[0].decode("latin-1")) else None
         if value is not None:
             found[words[0]] = value
             if len(found) == most:
@@ -103,7 +103,7 @@ def parse_metrics(data: bytes, most: int = protocol.MAX_TASK_METRICS) -> "dict[s
     return {name.decode("ascii"): value for name, value in sorted(found.items())}
 
 
-def _parse_value(word: bytes) -> "float | None":
+def parse_value(word: bytes) -> "float | None":
     """Parse a finite number; None for anything else."""
     try:
         value = float(word)
@@ -113,27 +113,29 @@ def _parse_value(word: bytes) -> "float | None":
     return value if value - value == 0.0 and b"_" not in word else None
 
 
-def limit_metrics_file(folder: str) -> float:
-    """Cut a file that is too large to the values that count; returns the seconds until the next check."""
+def limit_metrics_file(folder: str) -> "tuple[float, int | None]":
+    """Cut a file that is too large to the values that count.
+
+    Returns the seconds until the next check, and the size to which it was cut (None: it was not).
+    """
     try:
         info = os.lstat(get_metrics_path(folder))
         if info.st_blocks * 512 <= MAX_FILE_BYTES or not stat.S_ISREG(info.st_mode):
-            return _CHECK_S
+            return _CHECK_S, None
         fd = records.open_private_file(get_metrics_path(folder), os.O_RDWR | os.O_NONBLOCK)
     except OSError:
-        return _CHECK_S
+        return _CHECK_S, None
     try:
-        _compact_file(fd)
+        return _CHECK_FULL_S, _compact_file(fd)
     except OSError:
-        pass
+        return _CHECK_FULL_S, None
     finally:
         os.close(fd)
-    return _CHECK_FULL_S
 
 
-def _compact_file(fd: int) -> None:
+def _compact_file(fd: int) -> int:
     """Rewrite in place, the head before the cut: lines that the task appends meanwhile come after it and
-    count more.
+    count more. Returns the size of the head.
     """
     lines = b"".join(
         b"%s %s\n" % (name.encode(), repr(value).encode())
@@ -144,3 +146,4 @@ def _compact_file(fd: int) -> None:
     except OSError:
         lines = b""
     os.ftruncate(fd, len(lines))
+    return len(lines)

@@ -51,10 +51,19 @@ def probe_host(request: Document) -> Document:
             "unowned": adoption.list_unowned_tasks(request["host"]),
             "former": state_dir.list_host_names(request["host"])[1:],
             "checks": checks.results(),
+            "latencies": _read_latencies(request, measured["tasks"]),
         },
         **measured,
         **lease,
     )
+
+
+def _read_latencies(request: Document, tasks: "dict[str, Document]") -> "dict[str, Document]":
+    if not request.get("latency"):
+        return {}
+    from .latency_reply import read_latencies
+
+    return read_latencies(request["host"], request["latency"], tasks)
 
 
 def _describe_place() -> str:

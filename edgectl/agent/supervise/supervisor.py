@@ -23,6 +23,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Sequence
 
+    from ..measure.latency_tail import LatencyTail
+
 _BLOCK_BYTES = 65536
 # (signal, ``main`` or ``tree``, seconds) for the leftovers of an ended command.
 _LEFTOVERS = (("TERM", "tree", 5.0),)
@@ -79,6 +81,7 @@ class Supervisor:
         self.ready, self.alive = ReadyCheck(spec, self.env), AliveCheck(spec, self.env)
         self.nodes = NodeWatch(folder, spec, self.env)
         self.next_metrics = 0.0
+        self.latency: "LatencyTail | None" = None
         self.wake, self._wake_end = os.pipe()
         if orphan is not None:
             self._take_over(orphan)
@@ -102,7 +105,7 @@ class Supervisor:
         while self.pid or self.next_start is not None:
             self._run_once()
         self.nodes.end(remove=not self.stopping)
-        metrics.limit_metrics_file(self.folder)
+        self._check_metrics()
 
     def _take_over(self, status: Document) -> None:
         """Continue from the status of an orphan; its processes are no children of this one."""
@@ -206,7 +209,20 @@ class Supervisor:
 
     def _limit_metrics(self) -> None:
         if time.monotonic() >= self.next_metrics:
-            self.next_metrics = time.monotonic() + metrics.limit_metrics_file(self.folder)
+            self.next_metrics = time.monotonic() + self._check_metrics()
+
+    def _check_metrics(self) -> float:
+        """Count the new values of the latency, then limit the file; the seconds until the next check."""
+        if self.latency is None and os.path.exists(os.path.join(self.folder, "latency-rule")):
+            from ..measure.latency_tail import LatencyTail
+
+            self.latency = LatencyTail(self.folder, self.identity["instance"])
+        if self.latency is not None:
+            self.latency.poll()
+        pause_s, size = metrics.limit_metrics_file(self.folder)
+        if self.latency is not None and size is not None:
+            self.latency.cut_to(size)
+        return pause_s
 
     def _copy_output(self) -> None:
         data = os.read(self.pipe, _BLOCK_BYTES)
@@ -322,7 +338,10 @@ class Supervisor:
     def _restart(self) -> None:
         self.history.append(time.monotonic())
         self.status["restarts"] += 1
+        self._check_metrics()
         metrics.reset_metrics_file(self.folder)
+        if self.latency is not None:
+            self.latency.cut_to(0)
         try:
             self._start_command()
         except OSError as error:
