@@ -61,7 +61,7 @@ def measure_rows(
         service = measure_service(bench, frame)
         measured = bench.measure(frame, load, service.p50, jobs=jobs, think=THINK_S)
         site = Site(link=link, used=measured.used, rtt_ms=measured.rtt_ms)
-        _, predicted = decide(build_task(frame, service, 1.0), [site], Policy())
+        _, predicted = decide(build_task(frame, service, 1.0, period=1.0), [site], Policy())
         yield Row(frame=frame, link=link, load=load, predicted=predicted[0], measured=measured)
 
 

@@ -8,7 +8,8 @@ import pytest
 
 from edgectl.config.weights import parse_weights
 from edgectl.model.policy import Policy
-from tests.latency.bench import Bench, Frame, Link, Site, build_task, decide, make_benches, measure_service
+from edgectl.model.predicted_latency import ServiceTime
+from tests.latency.bench import Bench, Frame, Link, Site, build_task, decide, make_benches
 from tests.latency.tables import FAST, PERIOD_S, SLOW, measure_rows
 from tests.network_hosts import find_missing_for_counters
 
@@ -32,8 +33,8 @@ def test_a_slow_link_is_predicted_and_measured(bench: Bench) -> None:
 
 
 def test_the_faster_link_is_chosen_for_the_deadline_and_keeps_it_more_often(bench: Bench) -> None:
-    frame, sites = Frame(width=240, height=180), [Site(link=SLOW, used=0.0, rtt_ms=0.1), Site(link=FAST, used=0.3, rtt_ms=0.1)]  # fmt: skip
-    service = measure_service(bench, frame, jobs=10)
+    frame, sites = Frame(width=240, height=180), [Site(link=SLOW, used=0.0, rtt_ms=0.1), Site(link=FAST, used=0.22, rtt_ms=0.1)]  # fmt: skip
+    service = ServiceTime(p50=0.020, p95=0.022)  # as on an idle core: the choice is no matter of this machine
     task = build_task(frame, service, service.p50 + 0.030, period=PERIOD_S)
     chosen = [decide(task, sites, Policy(weights=parse_weights(name)))[0] for name in ("all", "latency")]
     assert chosen == [0, 1]
