@@ -1,5 +1,5 @@
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: ros ros-whole throughput quality demo experiment test test-fast check style setup audit bench faults fuzz soak clean
+.PHONY: latency ros ros-whole throughput quality demo experiment test test-fast check style setup audit bench faults fuzz soak clean
 PY := .venv/bin/python
 export PYTHON
 
@@ -63,6 +63,12 @@ bench: setup
 # The figures of docs/concepts/quality.md: how far plans are from the best ones. Some minutes.
 quality: setup
 	@$(PY) -m tests.quality
+
+# Predicted against measured latency behind shaped links, and misses with deadlines: the tables of
+# docs/concepts/predicted-latency.md. Half an hour on a machine that does nothing else; JOBS=100 takes ten minutes.
+latency: setup
+	@.ci/need-faults
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.latency --jobs $(or $(JOBS),600)
 
 # The whole fault matrix on real hosts; make faults SEED=7 draws other moments and bytes.
 # Then a death of the manager at each failpoint, and a hundred random lives, over simulated hosts.

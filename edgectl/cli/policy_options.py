@@ -15,6 +15,7 @@ from edgectl.config.weights import parse_weights
 from edgectl.errors import UsageError
 from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy, PolicyName, Weights
+from edgectl.model.resource import LATENCY
 from edgectl.model.task import Tasks
 from edgectl.names import check_known_names
 from edgectl.units import QuantityError
@@ -50,6 +51,10 @@ def require_solver(policy: Policy) -> None:
     Raises:
         UsageError: it needs a solver that is not installed, or that has nothing to solve.
     """
+    if (policy.optimal or policy.rebalance) and policy.weights[LATENCY]:
+        option = "--optimal" if policy.optimal else "--rebalance"
+        hint = "omit it, or weigh no latency; hard deadlines are kept"
+        raise UsageError(f"{option} cannot weigh latency, which is not linear in loads", hint=hint)
     if not policy.optimal:
         return
     if policy.rebalance:

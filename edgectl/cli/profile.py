@@ -15,6 +15,9 @@ def profile_command(
     *,
     task: options.TaskArgument,
     write: Annotated[bool, Option("--write", help="Save p95 as the demand in the task file.")] = False,
+    service: Annotated[
+        str | None, Option("--service", metavar="METRIC", help="Show its service time by this metric in ms.")
+    ] = None,
     yes: options.YesOption = False,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
@@ -23,17 +26,19 @@ def profile_command(
     """Show measured usage of a task by class of hosts (median, p95, maximum) beside its declared demand. No
     host is contacted.
 
-    TASK may be an entry with for_each. --write shows the change and asks for confirmation.
+    TASK may be an entry with for_each. --write shows the change and asks for confirmation. --service METRIC
+    prints lines for the task file: p50 and p95 of an application metric while others left the host idle.
 
     Examples:
         edgectl profile slam-robot1
         edgectl profile slam-robot1 -o json
+        edgectl profile slam-robot1 --service frame_ms
         edgectl profile slam-robot1 --write --yes
     """
     from edgectl.cli.connect import build_fleet
-    from edgectl.usecases.measured_demand import load_class_profiles
+    from edgectl.usecases.measured_demand import load_class_profiles, load_service_times
     from edgectl.usecases.profile import build_demand_edit, get_tasks_by_name
-    from edgectl.views.profile import ProfileView
+    from edgectl.views.profile import ProfileView, list_service_lines
 
     apply_session.check_can_confirm(asked=write and not yes, first="check first: edgectl profile TASK")
     files = resolve_task_paths(tasks)
@@ -43,6 +48,9 @@ def profile_command(
     )
     named = get_tasks_by_name(fleet.tasks, task)
     console.print_view(ProfileView(load_class_profiles(fleet, named)), output)
+    if service is not None:
+        for line in list_service_lines(named, service, load_service_times(fleet, named, service)):
+            console.print_message(line)
     if not write:
         return
     change = build_demand_edit(fleet, files, named[0])

@@ -16,6 +16,7 @@ from edgectl.config.fields import (
     read_labels,
     record_reader,
 )
+from edgectl.config.job_readers import read_job, read_service_time
 from edgectl.config.latency_readers import read_deadline, read_heard, read_latency
 from edgectl.config.node import Node
 from edgectl.config.problems import Mark, ProblemCode, Problems
@@ -86,6 +87,8 @@ TASK_KEYS: Mapping[str, NodeReader] = {
     "deadline": read_deadline,
     "latency": read_latency,
     "heard": read_heard,
+    "service_time": read_service_time,
+    "job": read_job,
     "hosts": read_host_rules,
     "onboard": enum_reader(OnboardRule),
     "kind": enum_reader(TaskKind),

@@ -109,7 +109,8 @@ def compile_tuple_alone(item: Codec) -> Codec:
 def compile_resource_map(kind: type[ResourceMap[Any]], item: Codec) -> Codec:
     """Values by the names of a table.
 
-    One that is absent has its default where that is 0 or null, else it must be there.
+    One that is absent has its default where that is 0 or null, or where documents leave it out; else it must
+    be there.
     """
 
     def decode_map(raw: Any, path: FieldPath, faults: Faults) -> Any:  # noqa: ANN401
@@ -119,18 +120,23 @@ def compile_resource_map(kind: type[ResourceMap[Any]], item: Codec) -> Codec:
         for name, default in kind.DEFAULTS.items():
             if raw.get(name) is not None:
                 values[name] = item.decode(raw[name], (*path, name), faults)
-            elif default:
+            elif default and name not in kind.OMITTED:
                 report_absent(name, raw, path, faults)
         return kind(values)
 
     def describe(found: Schema) -> Schema:
-        needed = [name for name, default in kind.DEFAULTS.items() if default]
+        needed = [name for name, default in kind.DEFAULTS.items() if default and name not in kind.OMITTED]
         properties = {name: item.schema(found) for name in kind.DEFAULTS}
         return {"type": "object", "properties": properties} | ({"required": needed} if needed else {})
 
-    return Codec(
-        lambda values: {name: item.encode(value) for name, value in values.items()}, decode_map, describe
-    )
+    def encode_map(values: ResourceMap[Any]) -> dict[str, Any]:
+        return {
+            name: item.encode(value)
+            for name, value in values.items()
+            if name not in kind.OMITTED or value != kind.DEFAULTS[name]
+        }
+
+    return Codec(encode_map, decode_map, describe)
 
 
 def compile_wrapped(item: Codec, key: str) -> Codec:

@@ -11,7 +11,8 @@ from typing import Annotated
 from edgectl.dataclass import dataclass
 from edgectl.model.encoding import Bounds, Positive, Signed, SignedInt, in_document
 from edgectl.model.policy import Policy
-from edgectl.model.resource import TERMS, Resource, ResourceMap, Usage
+from edgectl.model.predicted_latency import PredictedLatency
+from edgectl.model.resource import LATENCY, TERMS, Resource, ResourceMap, Usage
 
 
 class RejectionRule(StrEnum):
@@ -32,6 +33,7 @@ class RejectionRule(StrEnum):
     APART = "apart"
     TOGETHER = "together"
     SPREAD = "spread"
+    DEADLINE_MISSED = "deadline-missed"
 
 
 class DemandSource(StrEnum):
@@ -115,7 +117,8 @@ class Rejection:
     """One reason against one host.
 
     ``task``: the other task that the rule is about. The last three fields are rho, gamma and Delta in the
-    resource's own unit.
+    resource's own unit; of a deadline that is missed, ``demand`` is the predicted p95 and ``capacity`` the
+    deadline, both in ms.
     """
 
     rule: RejectionRule
@@ -128,13 +131,14 @@ class Rejection:
 
 
 class UtilityTerms(ResourceMap[Signed | None]):
-    """UT_k of every resource (eqs. 1-3) and UT_task.
+    """UT_k of every resource (eqs. 1-3), UT_task and UT_latency.
 
-    At most 1, negative where overcommitted, None without capacity.
+    At most 1, negative where overcommitted, None without capacity. UT_latency: 1 where nothing is predicted.
     """
 
     __slots__ = ()
-    DEFAULTS = dict.fromkeys(TERMS, None)
+    DEFAULTS = dict.fromkeys(TERMS, None) | {LATENCY: 1.0}
+    OMITTED = frozenset({LATENCY})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,6 +157,7 @@ class RankedHost:
     affinity: SignedInt = field(default=0, metadata=in_document(always=True))
     rejections: tuple[Rejection, ...] = field(default=(), metadata=in_document(always=True))
     demand: tuple[ResourceDemand, ...] = field(default=(), metadata=in_document(keyed_by="resource"))
+    predicted_latency: PredictedLatency | None = None
 
 
 class Verdict(StrEnum):

@@ -92,7 +92,8 @@ class Explanation:
     one per change, term and host; ``weighed``: whether they were looked for, because the totals decided.
     ``linear``: whether eq. (4) is linear in the load of each link, which it is
     not for a task of several robots. ``tie``: hosts that are equal. ``pin``: the host that the task file
-    pins it to.
+    pins it to. ``deadline_ms`` of the task, where it states one. ``bends``: its predicted latency counts,
+    which is not linear in any load.
     """
 
     decision: Decision
@@ -106,6 +107,8 @@ class Explanation:
     linear: bool = True
     tie: Tie | None = None
     pin: str | None = None
+    deadline_ms: float | None = None
+    bends: bool = False
 
     @property
     def fragile(self) -> bool:

@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 from edgectl.dataclass import dataclass
 from edgectl.model.encoding import in_document
-from edgectl.model.resource import AFFINITY, RESOURCES, TERMS, ResourceMap
+from edgectl.model.resource import AFFINITY, LATENCY, RESOURCES, TERMS, ResourceMap
 
 
 class PolicyName(StrEnum):
@@ -46,6 +46,7 @@ class Weights(ResourceMap[float]):
 
     __slots__ = ()
     DEFAULTS = _share_evenly(*_PRESET_RESOURCES, AFFINITY)
+    OMITTED = frozenset({LATENCY})
 
     def normalised(self) -> "Weights":
         """The same proportions with sum 1.

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from edgectl.dataclass import dataclass
+from edgectl.model.predicted_latency import ServiceTime
 from edgectl.model.task import Task
 
 
@@ -50,3 +51,13 @@ class ClassProfile:
     hosts: tuple[str, ...]
     profile: UsageProfile
     enough: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClassService:
+    """Service time of one task on one class of hosts, out of ``samples`` at low load."""
+
+    task: Task
+    kind: str
+    samples: int
+    service: ServiceTime

@@ -81,18 +81,22 @@ RESOURCES_BY_NAME: Mapping[str, Resource] = MappingProxyType(
 )
 # The term of eq. (4) that is no resource: the reward for a place near the predecessors.
 AFFINITY = "task"
-TERMS = (*RESOURCES_BY_NAME, AFFINITY)
+# The term of what the robot feels (ADR 120), weighed only on request.
+LATENCY = "latency"
+TERMS = (*RESOURCES_BY_NAME, AFFINITY, LATENCY)
 
 
 class ResourceMap(dict[str, Value]):
     """Immutable values by the name of a resource or term, in the order of the table.
 
-    What is not given has its default. A subclass states ``DEFAULTS``, which also says which names there are.
-    A dict, because a plan of a large fleet reads millions.
+    What is not given has its default. A subclass states ``DEFAULTS``, which also says which names there are,
+    and ``OMITTED``: those that documents leave out at their default. A dict, because a plan of a large fleet
+    reads millions.
     """
 
     __slots__ = ()
     DEFAULTS: ClassVar[dict[str, Any]] = {}
+    OMITTED: ClassVar[frozenset[str]] = frozenset()
 
     def __init__(self, values: Mapping[str, Value] | None = None, /, **named: Value) -> None:
         """Values by name, as a mapping, as keywords, or both.

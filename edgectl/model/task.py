@@ -11,6 +11,7 @@ from edgectl.model.check import AliveRule, Check
 from edgectl.model.demand import Demand
 from edgectl.model.latency import HeardRule, LatencyRule
 from edgectl.model.policy import Policy
+from edgectl.model.predicted_latency import JobSize, ServiceTime
 
 _NODE_NAME = re.compile(r"(?:^|\s)__(?:name|node):=(\S+)")
 _NODE_NAMESPACE = re.compile(r"(?:^|\s)__ns:=(\S+)")
@@ -173,6 +174,7 @@ class Task:
     ``if_nothing_fits``: what it does where no host has room, as ``Policy.best_effort`` for all tasks.
     ``downtime_cost``: utility lost per second of downtime, 0 or more; weighed once downtimes are measured.
     ``alive``: asked while the task runs, and for readiness too where ``ready`` is not stated.
+    ``service_time`` of a job by class of hosts, "" for every class; ``job``: the bytes of one.
     ``latency``: where its latency is measured; ``heard``: how its robot notices it.
     ``file``: the task file that lists it (ADR 0039); it is no part of any digest.
     """
@@ -195,6 +197,8 @@ class Task:
     hard_deadline: bool = False
     latency: LatencyRule | None = None
     heard: HeardRule | None = None
+    service_time: Mapping[str, ServiceTime] = field(default_factory=dict)
+    job: JobSize = JobSize()
     hosts: HostRules = HostRules()
     onboard: OnboardRule = OnboardRule.ALLOW
     managed: bool = True

@@ -7,10 +7,19 @@ from typing import TYPE_CHECKING, TypeAlias
 from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Rejection, RejectionRule, UtilityTerms
 from edgectl.model.policy import Policy, Preference
-from edgectl.model.resource import AFFINITY, RESOURCES, Resource
+from edgectl.model.predicted_latency import PredictedLatency
+from edgectl.model.resource import AFFINITY, LATENCY, RESOURCES, Resource
 from edgectl.model.task import OnboardRule, Task
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.feasibility import compute_resource_terms, find_own_robot, find_rule_against
+from edgectl.scheduler.latency import (
+    NO_LATENCY_TERM,
+    is_latency_weighed,
+    list_latency_terms,
+    predict_latency,
+    rate_predicted_latency,
+    reject_missed_deadline,
+)
 from edgectl.scheduler.ledger import Ledger, compute_demand_usage
 from edgectl.scheduler.move_cost import HandoffHistory
 from edgectl.scheduler.placement_rules import NO_RULES, PlacementRules
@@ -118,7 +127,7 @@ class CandidateSet:
     reward. ``placed`` counts the tasks that this pass has put on each place. ``waived`` is the rejection of
     an incumbent that is weighed all the same, because nothing else is left. ``tolerated``: the incumbent
     counts as feasible although its load exceeds it, within the slack. ``terms`` and ``uses``: the terms and
-    the load of the task at the places that were asked for.
+    the load of the task at the places that were asked for; so ``latencies``.
     """
 
     context: AssignmentContext
@@ -136,6 +145,7 @@ class CandidateSet:
     waived: Rejection | None = None
     tolerated: bool = False
     terms: dict[int, ReferenceTerms] = field(default_factory=dict, init=False)
+    latencies: dict[int, PredictedLatency | None] = field(default_factory=dict, init=False)
     uses: dict[int, TaskUsage] = field(default_factory=dict, init=False)
 
     def name(self, place: int) -> str:
@@ -201,7 +211,9 @@ def _is_tolerated(candidates: CandidateSet) -> bool:
     here = candidates.incumbent
     if here is None or here in candidates.denied or is_feasible_total(candidates.totals[here]):
         return False
-    return not find_excess(candidates, here)
+    return not find_excess(candidates, here) and not reject_missed_deadline(
+        candidates.task, latency_at(candidates, here)
+    )
 
 
 def find_excess(candidates: CandidateSet, place: int) -> list[Resource]:
@@ -224,6 +236,13 @@ def usage_at(candidates: CandidateSet, place: int) -> TaskUsage:
     return found
 
 
+def latency_at(candidates: CandidateSet, place: int) -> PredictedLatency | None:
+    """The predicted latency of the task at one place; None where nothing is predicted."""
+    if place not in candidates.latencies:
+        candidates.latencies[place] = predict_latency(candidates.ledger, candidates.task, place)
+    return candidates.latencies[place]
+
+
 def resource_terms_at(
     candidates: CandidateSet, place: int
 ) -> tuple[dict[str, float | None], tuple[Rejection, ...]]:
@@ -242,6 +261,9 @@ def terms_at(candidates: CandidateSet, place: int) -> ReferenceTerms:
 def _compute_reference_terms(candidates: CandidateSet, place: int) -> ReferenceTerms:
     values, rejections = resource_terms_at(candidates, place)
     values[AFFINITY] = candidates.utilities[compute_affinity(candidates.located, place)]
+    predicted = latency_at(candidates, place)
+    values[LATENCY] = rate_predicted_latency(candidates.task, predicted)
+    rejections += reject_missed_deadline(candidates.task, predicted)
     terms = UtilityTerms.from_complete(values)
     return terms, total_utility(candidates.context.policy.weights, terms), rejections
 
@@ -336,12 +358,25 @@ def _compute_place_totals(candidates: CandidateSet) -> Totals:
     for place in set(candidates.located):
         if place < fleet.edges and place not in candidates.denied:
             row[place] += weight * (candidates.utilities[compute_affinity(candidates.located, place)] - far)
+    _add_latency(candidates, row)
     if candidates.denied:
         row.exclude(candidates.denied)
     for place in candidates.robots:
         if place not in candidates.denied:
             row[place] = _compute_total_at(candidates, place)
     return row
+
+
+def _add_latency(candidates: CandidateSet, row: Totals) -> None:
+    """The latency term on top of the totals of the edges, and the penalty where a hard deadline is missed."""
+    policy, task, edges = candidates.context.policy, candidates.task, candidates.context.fleet.edges
+    weight = policy.weights[LATENCY]
+    if is_latency_weighed(policy, task):
+        for place, term, missed in list_latency_terms(candidates.ledger, task, range(edges)):
+            row[place] += weight * term - INFEASIBLE_PENALTY * missed
+    elif weight:
+        for place in range(edges):
+            row[place] += weight * NO_LATENCY_TERM
 
 
 def _compute_total_at(candidates: CandidateSet, place: int) -> float:

@@ -6,7 +6,8 @@ from edgectl.dataclass import dataclass
 from edgectl.model.assignment import MoveCost, Reason, RejectionRule, Verdict
 from edgectl.model.resource import HOST_RESOURCES
 from edgectl.model.task import NothingFits
-from edgectl.scheduler.candidates import CandidateSet, find_excess, resource_terms_at
+from edgectl.scheduler.candidates import CandidateSet, find_excess, latency_at, resource_terms_at
+from edgectl.scheduler.latency import rate_predicted_latency
 from edgectl.scheduler.ledger import NO_FREE_SHARE
 from edgectl.scheduler.move_cost import estimate_move_cost
 from edgectl.scheduler.scan import compute_worst_terms, is_feasible_total
@@ -255,6 +256,11 @@ def _compute_shortfalls(candidates: CandidateSet) -> dict[int, float]:
         )
         if worst > NO_FREE_SHARE / 2 and place not in candidates.denied
     }
+    if candidates.task.hard_deadline:
+        for place in found:
+            found[place] = min(
+                found[place], rate_predicted_latency(candidates.task, latency_at(candidates, place))
+            )
     for place in candidates.listed[edges:]:
         terms, _ = resource_terms_at(candidates, place)
         known = [term for resource in HOST_RESOURCES if (term := terms[resource.name]) is not None]

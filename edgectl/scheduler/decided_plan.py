@@ -12,6 +12,7 @@ from edgectl.model.task import Task
 from edgectl.scheduler.candidates import AssignmentContext, list_allowed_places
 from edgectl.scheduler.choice import Choice
 from edgectl.scheduler.initial_state import InitialState
+from edgectl.scheduler.latency import may_keep_deadline
 from edgectl.scheduler.ledger import Ledger, compute_demand_usage
 from edgectl.scheduler.packing import Item, Packing, Shares, ShareTable, combine_items
 from edgectl.scheduler.placement_rules import OccupancyLimit
@@ -130,7 +131,10 @@ def build_item(
     runs = running is not None and running.place == place
     held = runs and _is_held_in_place(plan, task)
     mates = _list_located_mates(plan, task) if task.name not in leaders else []
-    places = sort_places(tuple(list_allowed_places(plan.context, task, place)))
+    allowed = list_allowed_places(plan.context, task, place)
+    if task.hard_deadline:
+        allowed = [each for each in allowed if each == place or may_keep_deadline(plan.ledger, task, each)]
+    places = sort_places(tuple(allowed))
     return Item(
         name=task.name,
         tasks=(task.name,),

@@ -16,10 +16,11 @@ from edgectl.model.explanation import ChangeKind, Contribution, Explanation, Fli
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy, Weights
-from edgectl.model.resource import RESOURCES, RESOURCES_BY_NAME, TERMS, Resource, ResourceMap
+from edgectl.model.resource import LATENCY, RESOURCES, RESOURCES_BY_NAME, TERMS, Resource, ResourceMap
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task
 from edgectl.scheduler.capacities import Capacities, build_capacities
+from edgectl.scheduler.latency import is_latency_weighed
 from edgectl.scheduler.ledger import Ledger, build_measured_ledger, compute_measured_usage
 from edgectl.scheduler.move_cost import HandoffHistory, collect_handoff_history, estimate_move_cost
 from edgectl.scheduler.policies import POLICIES
@@ -63,6 +64,7 @@ class _Case:
 
     task: Task
     decision: Decision
+    policy: Policy
     weights: Weights
     fleet: Capacities
     ledger: Ledger
@@ -91,6 +93,7 @@ def explain_decision(
     case = _Case(
         task=task,
         decision=decision,
+        policy=policy,
         weights=policy.weights,
         fleet=fleet,
         ledger=_build_ledger_of_others(fleet),
@@ -105,7 +108,12 @@ def explain_decision(
         ),
     )
     plain = Explanation(
-        decision=decision, weights=policy.weights, linear=len(task.robots) <= 1, pin=task.hosts.pin
+        decision=decision,
+        weights=policy.weights,
+        linear=len(task.robots) <= 1,
+        pin=task.hosts.pin,
+        deadline_ms=None if task.deadline is None else 1000.0 * task.deadline,
+        bends=is_latency_weighed(policy, task),
     )
     here = _find_ranked_host(ranked, decision.host)
     there = _find_ranked_host(ranked, decision.challenger)
@@ -217,6 +225,8 @@ def _compute_needed_gains(
 
 def _build_contributions(weights: Weights, here: UtilityTerms, there: UtilityTerms) -> Iterator[Contribution]:
     for term in TERMS:
+        if term == LATENCY and not weights[term]:
+            continue
         yield Contribution(
             term=term,
             weight=weights[term],
@@ -284,11 +294,13 @@ def _build_contender(
 
 
 def _find_flips(case: _Case) -> Iterator[Flip]:
-    for entry in case.ranked:
+    for entry in case.ranked if not is_latency_weighed(case.policy, case.task) else ():
         for resource in RESOURCES:
             yield from _find_load_flips(case, entry, resource)
+    predicted = any(entry.predicted_latency is not None for entry in case.ranked)
     for term in TERMS:
-        yield from _find_weight_flips(case, term)
+        if term != LATENCY or predicted:
+            yield from _find_weight_flips(case, term)
 
 
 def _find_load_flips(case: _Case, entry: RankedHost, resource: Resource) -> Iterator[Flip]:

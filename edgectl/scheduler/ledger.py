@@ -9,7 +9,7 @@ from edgectl.model.assignment import ExpectedLoad
 from edgectl.model.demand import ZERO, Quantity
 from edgectl.model.policy import Weights
 from edgectl.model.resource import CPU, HOST_RESOURCES, NETWORK, Usage
-from edgectl.model.snapshot import TaskSample
+from edgectl.model.snapshot import HostSample, TaskSample
 from edgectl.model.task import Task
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.demand import demand_at
@@ -28,7 +28,8 @@ class Ledger:
 
     ``free`` and ``free_links`` hold (Delta - gamma) / Delta of the same, kept in step; so does ``weighted``,
     the sum of weight x free share over the resources of each place, once ``weigh_free`` has named weights.
-    ``mirror`` holds the free shares as arrays, for fleets of very many pairs (ADR 0076); a copy has none.
+    ``tasks`` counts those that make gamma, by place. ``mirror`` holds the free shares as arrays, for fleets
+    of very many pairs (ADR 0076); a copy has none.
     """
 
     fleet: Capacities
@@ -36,6 +37,7 @@ class Ledger:
     links: dict[str, list[float]]
     free: dict[str, list[float]]
     free_links: dict[str, list[float]]
+    tasks: list[int]
     weights: Weights | None = None
     weighted: list[float] = field(default_factory=list)
     mirror: "FreeArrays | None" = None
@@ -48,10 +50,12 @@ class Ledger:
             links={robot: row.copy() for robot, row in self.links.items()},
             free={name: row.copy() for name, row in self.free.items()},
             free_links={robot: row.copy() for robot, row in self.free_links.items()},
+            tasks=self.tasks.copy(),
         )
 
     def charge(self, place: int, use: TaskUsage) -> None:
         """Add a task's load: gamma += rho for every resource."""
+        self.tasks[place] += 1
         for name, amount in use.used.items():
             self._set(place, name, self.used[name][place] + amount)
         self._weigh(place)
@@ -60,6 +64,7 @@ class Ledger:
 
     def release(self, place: int, use: TaskUsage) -> None:
         """Take a task's load out of gamma, never below 0."""
+        self.tasks[place] = max(0, self.tasks[place] - 1)
         for name, amount in use.used.items():
             self._set(place, name, max(0.0, self.used[name][place] - amount))
         self._weigh(place)
@@ -149,7 +154,16 @@ def build_measured_ledger(fleet: Capacities) -> Ledger:
             robot: [compute_free_share(*pair) for pair in zip(fleet.links[robot], row, strict=True)]
             for robot, row in links.items()
         },
+        tasks=[_count_tasks(sample) for sample in fleet.samples],
     )
+
+
+def _count_tasks(sample: HostSample | None) -> int:
+    """The living tasks on a host, those of other fleets too."""
+    if sample is None or not sample.ok:
+        return 0
+    own = sum(run.state.alive for run in sample.tasks.values())
+    return own + sum(run.state.alive for run in sample.foreign_tasks)
 
 
 def _list_measured_usage(fleet: Capacities, name: str) -> list[float]:

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from edgectl.model.policy import Policy, Preference, Weights
-from edgectl.model.resource import AFFINITY
+from edgectl.model.resource import RESOURCES_BY_NAME
 
 
 def sign_weights(policy: Policy) -> Policy:
@@ -12,5 +12,7 @@ def sign_weights(policy: Policy) -> Policy:
     """
     if policy.prefer is not Preference.PACK:
         return policy
-    signed = {name: weight if name == AFFINITY else -weight for name, weight in policy.weights.items()}
+    signed = {
+        name: -weight if name in RESOURCES_BY_NAME else weight for name, weight in policy.weights.items()
+    }
     return replace(policy, weights=Weights(signed))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from edgectl.model.assignment import RankedHost, Rejection, RejectionRule, UtilityTerms
-from edgectl.scheduler.candidates import CandidateSet, Totals, terms_at
+from edgectl.scheduler.candidates import CandidateSet, Totals, latency_at, terms_at
 from edgectl.scheduler.demand import list_resource_demands
 from edgectl.scheduler.scan import EXCLUDED_TOTAL, INFEASIBLE_PENALTY, is_feasible_total
 from edgectl.scheduler.ties import order_tied_places
@@ -178,6 +178,7 @@ def _build_ranked_host(candidates: CandidateSet, host: ScoredPlace, rank: int) -
         demand=list_resource_demands(fleet, candidates.task, host.place)
         if candidates.task.name in fleet.demands
         else (),
+        predicted_latency=latency_at(candidates, host.place) if host.total is not None else None,
     )
 
 

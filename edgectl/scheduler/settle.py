@@ -9,6 +9,7 @@ from edgectl.scheduler.choice import Choice
 from edgectl.scheduler.decided_plan import DecidedPlan, rate_plan, rebalance_plan
 from edgectl.scheduler.groups import MAX_ROUNDS, withhold_incomplete_groups
 from edgectl.scheduler.initial_state import InitialState
+from edgectl.scheduler.latency import count_missed_deadlines
 from edgectl.scheduler.ledger import compute_demand_usage
 from edgectl.scheduler.optimum import breaks_no_more_rules, is_overload_kept, value_plan
 from edgectl.scheduler.placement_rules import build_placement_rules
@@ -96,7 +97,16 @@ def _run_until_settled(how: PlacementPass, *, optimal: bool) -> tuple[SettledPla
 def _make_room(how: PlacementPass, plain: SettledPlan) -> SettledPlan:
     """The plan with room made for tasks that found none (ADR 64)."""
     changed = repair_plan(build_decided_plan(how, plain))
-    return _settle_changed(how, plain, changed) if changed else plain
+    found = _settle_changed(how, plain, changed) if changed else plain
+    return found if _keeps_deadlines(how, found, plain) else plain
+
+
+def _keeps_deadlines(how: PlacementPass, found: SettledPlan, known: SettledPlan) -> bool:
+    """Whether no more hard deadlines are missed in ``found`` than in ``known``: a packing knows only room."""
+    counts = [
+        count_missed_deadlines(how.order, plan.outcome.placed, plan.outcome.ledger) for plan in (found, known)
+    ]
+    return counts[0] <= counts[1]
 
 
 def _rebalance(how: PlacementPass, found: SettledPlan) -> SettledPlan:
@@ -107,6 +117,7 @@ def _rebalance(how: PlacementPass, found: SettledPlan) -> SettledPlan:
         return found
     other = _settle_changed(how, found, changed)
     gains = rate_plan(build_decided_plan(how, other)) > rate_plan(before)
+    gains = gains and _keeps_deadlines(how, other, found)
     placed_before = found.outcome.placed.keys()
     return other if other.settled and gains and other.outcome.placed.keys() >= placed_before else found
 
@@ -122,6 +133,7 @@ def take_better(
     other = _settle_changed(how, best, changed)
     plan, known = build_decided_plan(how, other), build_decided_plan(how, best)
     better = other.settled and value_plan(plan, origin).is_better_than(value_plan(known, origin))
+    better = better and _keeps_deadlines(how, other, best)
     return other if better and is_overload_kept(plan, known) and breaks_no_more_rules(plan, known) else best
 
 

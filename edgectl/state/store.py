@@ -192,6 +192,36 @@ class Store:
 
         return self._file.run(read, ())
 
+    def service_samples(
+        self,
+        task: str,
+        host: str,
+        spec_hash: str,
+        metric: str,
+        *,
+        min_age_s: float,
+        max_load: float,
+        limit: int,
+    ) -> tuple[float, ...]:
+        """The newest ``limit`` values of ``metric`` of ``task`` on ``host`` with this specification, reported
+        while others used at most ``max_load`` (0..1) of the cores; newest first.
+        """
+        sql = (
+            "SELECT said.value FROM metric_samples AS said "
+            "JOIN host_samples AS seen ON seen.host = said.host AND seen.at = said.at "
+            "JOIN task_samples AS run ON run.task = said.task AND run.host = said.host "
+            "AND run.instance = said.instance AND run.at = said.at "
+            "WHERE said.task = ? AND said.host = ? AND said.spec_hash = ? AND said.name = ? "
+            "AND run.age_s > ? AND seen.used_cores - run.used_cores <= ? * seen.cores "
+            "ORDER BY said.at DESC LIMIT ?"
+        )
+        wanted = task, host, spec_hash, metric, min_age_s, max_load, limit
+
+        def read(connection: sqlite3.Connection) -> tuple[float, ...]:
+            return tuple(float(row[0]) for row in connection.execute(sql, wanted))
+
+        return self._file.run(read, ())
+
     def used_shares(self, host: str, *, limit: int) -> tuple[tuple[str, tuple[float, ...]], ...]:
         """The newest ``limit`` readings of ``host`` and of each of its links, as shares of the capacity: the
         name of the resource, and the readings, oldest first.

@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import MeasuredDemand
 from edgectl.model.point import HostPoint
-from edgectl.model.profile import ClassProfile, UsageProfile
+from edgectl.model.predicted_latency import ServiceTime
+from edgectl.model.profile import ClassProfile, ClassService, UsageProfile
 from edgectl.model.resource import CPU, MEMORY
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task
 from edgectl.rules.measured_demand import WARM_UP_S, classify_host, follows_history, has_enough_samples
-from edgectl.scheduler.profile import build_usage_profile, measured_demand_from_profile
+from edgectl.scheduler.profile import build_usage_profile, compute_percentile, measured_demand_from_profile
 from edgectl.usecases.fleet import Fleet
 
 if TYPE_CHECKING:
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
 # At most this many samples of a task on a class of hosts are read.
 MAX_SAMPLES = 1000
+# A host of which others use no more of the CPU counts as idle: waiting adds little then.
+LOW_LOAD = 0.10
 _HISTORY_FILE = "history.db"
 
 
@@ -64,6 +67,47 @@ def load_class_profiles(fleet: Fleet, tasks: Iterable[Task]) -> list[ClassProfil
         ]
 
     return fleet.history.use(fleet.state, fleet.warn, read)
+
+
+def load_service_times(fleet: Fleet, tasks: Iterable[Task], metric: str) -> list[ClassService]:
+    """Service times of ``tasks`` by class of hosts, out of their application metric ``metric`` in ms.
+
+    Only what they reported while others left the host nearly idle counts; no host is contacted.
+    """
+    if not (fleet.state / _HISTORY_FILE).exists():
+        return []
+
+    def read(store: "Store") -> list[ClassService]:
+        classes = _group_hosts_by_class(_classify_by_last_sample(fleet.inventory, None, store))
+        return [
+            found
+            for task in tasks
+            for kind, hosts in classes.items()
+            if (found := _find_service_time(store, task, kind, hosts, metric)) is not None
+        ]
+
+    return fleet.history.use(fleet.state, fleet.warn, read)
+
+
+def _find_service_time(
+    store: "Store", task: Task, kind: str, hosts: Collection[str], metric: str
+) -> ClassService | None:
+    found: list[float] = []
+    for host in hosts:
+        found += store.service_samples(
+            task.name,
+            host,
+            task.spec_hash if task.managed else "",
+            metric,
+            min_age_s=WARM_UP_S,
+            max_load=LOW_LOAD,
+            limit=MAX_SAMPLES,
+        )
+    values = sorted(value / 1000.0 for value in found if value > 0.0)
+    if not values:
+        return None
+    p50, p95 = (compute_percentile(values, share) for share in (0.50, 0.95))
+    return ClassService(task=task, kind=kind, samples=len(values), service=ServiceTime(p50=p50, p95=p95))
 
 
 def _compute_class_profiles(

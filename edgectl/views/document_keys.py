@@ -83,6 +83,7 @@ ITEM_KEYS: KeysByName = {
     "explanation": (
         "task", "action", "reason", "host", "previous_host", "runner_up", "total", "lead", "slack", "noise",
         "fragile", "pinned_to", "equal_hosts", "tie_rule", "contributions", "flips",
+        "deadline_s", "latencies",
     ),
     "map-score": ("ssim",),
     "result": _RESULT,
@@ -135,6 +136,10 @@ INNER_KEYS: KeysByName = {
     "pending": ("task", "action", "host", "previous_host"),
     "phases": ("phase", "host", "duration_s", "ok", "detail"),
     "placement": ("host", "placed_at"),
+    "latencies": (
+        "p50_ms", "p95_ms", "p99_ms", "low_ms", "high_ms", "service_ms", "load", "waiting_ms", "transfer_ms",
+        "rtt_ms", "elsewhere",
+    ),
     "resources": ("declared", "p50", "p95", "max"),
     "robot_counters": (
         "addresses", "counted", "rx_bytes", "tx_bytes", "tcp_bytes", "rx_bytes_per_s", "tx_bytes_per_s",

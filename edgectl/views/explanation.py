@@ -11,6 +11,7 @@ from edgectl.views.glossary import head, list_shown_weights
 from edgectl.views.output import ItemView
 from edgectl.views.output_format import WIDE_FORMATS
 from edgectl.views.plan_sections import format_utility
+from edgectl.views.predicted_latency import encode_latencies, render_latencies
 from edgectl.views.reasons import describe_reason, join_words
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns, style_text, wrap_text
 
@@ -57,6 +58,7 @@ class ExplanationView(ItemView):
         parts = (
             title + "\n" + wrap_text(describe_reason(step), look),
             _render_contributions(value, look) if value.contributions else "",
+            render_latencies(value, look, every=every),
             sentences,
         )
         return "\n".join(part for part in parts if part)
@@ -100,7 +102,7 @@ class ExplanationView(ItemView):
                 for each in value.contributions
             ],
             "flips": [_encode_flip(flip) for flip in value.flips],
-        }
+        } | encode_latencies(value)
 
 
 def _render_contributions(value: Explanation, look: RenderOptions) -> str:
@@ -150,7 +152,9 @@ def _list_sentences(value: Explanation, *, every: bool, complete: bool) -> Itera
         yield f"No other host{among} fits (edgectl plan -o wide shows what each lacks)."
     if not value.flips and value.pin is None:
         yield _NO_CHANGE_FOUND if value.weighed else _NOT_BY_TOTALS
-    if not value.linear:
+    if value.bends:
+        yield "Changes of loads are left out: the predicted latency counts, which is not linear in them."
+    elif not value.linear:
         yield (
             "Changes of a link's load are left out: with several robots the worst link counts, "
             "which is not linear."

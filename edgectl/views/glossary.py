@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 
 from edgectl.dataclass import dataclass
-from edgectl.model.resource import AFFINITY, CPU, RESOURCES, TERMS, Resource
+from edgectl.model.resource import AFFINITY, CPU, LATENCY, RESOURCES, TERMS, Resource
 from edgectl.views.text import Cell, Row
 
 
@@ -204,6 +204,15 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "id": "number of an event",
         "last_exit": "exit code before the last restart",
         "lead": "utility above that of the next host",
+        "load": "share of the CPU of a host that others than the task use",
+        "low_ms": "bound of a predicted latency, below which few jobs are expected",
+        "high_ms": "bound of a predicted latency, above which few jobs are expected",
+        "p50_ms": "median of a latency, measured over the last minutes or predicted",
+        "p95_ms": "95th percentile of a latency",
+        "p99_ms": "99th percentile of a latency",
+        "service_ms": "time of a job on an idle host, median",
+        "transfer_ms": "time of the bytes of a job on what is free of the link",
+        "waiting_ms": "what the load of others adds to the time of a job, mean",
         "load_1m": "load average over one minute",
         "max": "maximum",
         "mean": "mean",
@@ -229,9 +238,6 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "count": "number of values",
         "max_ms": "highest latency of the last minutes",
         "misses": "latencies above the deadline since the start of the instance",
-        "p50_ms": "latency that half of the values of the last minutes do not exceed",
-        "p95_ms": "the same of 95 %",
-        "p99_ms": "the same of 99 %",
         "recent_count": "number of latencies of the last minutes",
         "recent_misses": "latencies above the deadline in the last minutes",
         "recent_s": "time over which the percentiles of a latency are",
@@ -264,6 +270,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "hard_deadline": "whether a task goes only where it is expected to keep its deadline",
         "current": "whether a profiler measures what the files ask for",
         "done": "whether every action was carried out",
+        "elsewhere": "whether the service time is that of another class of hosts",
         "enough": "whether there are enough samples for a demand",
         "fragile": "whether the lead is below the variation of the measurements",
         "given_up": "whether a task is not restarted any more",
@@ -347,6 +354,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "metrics": "metrics that an application reports, by name",
         "off_by": "deviation from the reference as a share, by metric",
         "placements": "host by task",
+        "latencies": "predicted latency of a task by host",
         "reference_figures": "reference values by metric",
         "resources": "measured usage by resource",
         "utilisation": "share of the capacity in use, by resource",
@@ -451,8 +459,8 @@ HEADINGS = _list_amount_headings() | {
 }
 
 
-# A budget that no host declares has no column, no weight and no limit in a table.
-_DECLARED_ONLY = {resource.name for resource in RESOURCES if resource.declared_only}
+# A budget that no host declares, or a latency that is not weighed, has no column, weight or limit there.
+_SPARE_TERMS = {resource.name for resource in RESOURCES if resource.declared_only} | {LATENCY}
 
 
 def head(*columns: str) -> Row:
@@ -461,7 +469,7 @@ def head(*columns: str) -> Row:
 
 
 def _get_heading_style(column: str) -> str:
-    return "spare" if _DECLARED_ONLY & set(column.split(".")) else "head"
+    return "spare" if _SPARE_TERMS & set(column.split(".")) else "head"
 
 
 def head_of_resource(resource: Resource) -> Cell:
@@ -470,5 +478,5 @@ def head_of_resource(resource: Resource) -> Cell:
 
 
 def list_shown_weights(weights: Mapping[str, float]) -> dict[str, float]:
-    """The weights without those of budgets that are not weighed."""
-    return {name: weight for name, weight in weights.items() if weight or name not in _DECLARED_ONLY}
+    """The weights without those of budgets and of the latency that are not weighed."""
+    return {name: weight for name, weight in weights.items() if weight or name not in _SPARE_TERMS}

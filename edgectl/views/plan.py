@@ -174,7 +174,10 @@ def _format_terms(ranked: RankedHost | None, weights: Weights) -> tuple[str, ...
     if ranked is None:
         return ("-",) * (len(TERMS) + 1)
     shown = list_shown_weights(weights)
-    terms = (format_utility(value if name in shown else None) for name, value in ranked.terms.items())
+    terms = (
+        format_utility(value if name in shown and ranked.total is not None else None)
+        for name, value in ranked.terms.items()
+    )
     return (*terms, format_utility(ranked.total))
 
 

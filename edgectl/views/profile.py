@@ -4,8 +4,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from edgectl.formats.document import Document
 from edgectl.model.demand import Quantity
-from edgectl.model.profile import ClassProfile, UsagePercentiles
+from edgectl.model.profile import ClassProfile, ClassService, UsagePercentiles
 from edgectl.model.resource import TASK_RESOURCES, Resource
+from edgectl.model.task import Task
 from edgectl.rules.measured_demand import MIN_SAMPLES
 from edgectl.units import format_duration
 from edgectl.views.demands import encode_declared_demand
@@ -104,3 +105,25 @@ def _encode_spread(spread: UsagePercentiles) -> Document:
         "p95": spread.p95,
         "max": spread.most,
     }
+
+
+def list_service_lines(tasks: Iterable[Task], metric: str, found: Sequence[ClassService]) -> list[str]:
+    """Service times by class of hosts, as a line of the task file; or that there are none."""
+    lines = []
+    for task in tasks:
+        own = [each for each in found if each.task is task]
+        times = ", ".join(
+            f"{each.kind}: {{p50: {_format_ms(each.service.p50)}, p95: {_format_ms(each.service.p95)}}}"
+            for each in own
+        )
+        samples = sum(each.samples for each in own)
+        lines.append(
+            f"{task.name}  service_time: {{{times}}}  # {samples} samples of {metric} at low load"
+            if own
+            else f"{task.name} has no sample of {metric} while its host was nearly idle"
+        )
+    return lines
+
+
+def _format_ms(seconds: float) -> str:
+    return f"{1000.0 * seconds:.3g}ms"

@@ -28,6 +28,7 @@ _RULE_TEXTS = {
     RejectionRule.APART: "with a task that it is apart from",
     RejectionRule.TOGETHER: "without room for all that go together",
     RejectionRule.SPREAD: "with their part of the spread",
+    RejectionRule.DEADLINE_MISSED: "misses the deadline",
 }
 LEFT_OUT_TEXT = "left out by --target or -l"
 _FIXED_REASON_TEXTS = {
@@ -290,6 +291,8 @@ def _format_rejection_detail(entry: Rejection) -> str:
         return f" to {entry.robot}"
     if entry.task:
         return f" ({entry.task})"
+    if entry.rule is RejectionRule.DEADLINE_MISSED and entry.demand is not None:
+        return f" ({entry.demand:.0f} ms at p95, deadline {entry.capacity or 0.0:.0f} ms)"
     return f" of {entry.resource}" if entry.resource and entry.rule is RejectionRule.NO_CAPACITY else ""
 
 

@@ -77,6 +77,27 @@ def test_figures_beside_what_is_declared(site: Path, run: Run) -> None:
     assert run("profile", "slma").err.splitlines()[1] == "hint: did you mean slam?"
 
 
+def test_service_times_are_those_of_a_nearly_idle_host(site: Path, run: Run) -> None:
+    """frame_ms is 30 to 34 where others leave edge1 idle, and 90 where they use half of it."""
+    _, tasks, _ = load_inventory_and_tasks(site / "inventories" / "lab.yaml", site / "tasks" / "tasks.yaml")
+    with Store.open(open_fleet_dir(site / "inventories" / "lab.yaml")) as store:
+        for n, (used, value) in enumerate([(0.6, 30.0), (0.6, 31.0), (0.7, 34.0), (2.5, 90.0), (0.6, 30.5)]):
+            running = a_run(
+                spec_hash=tasks.tasks["slam-robot1"].spec_hash,
+                started_at=NOW - 60,
+                used=Usage(cpu=0.5, memory=GI),
+                metrics={"frame_ms": value},
+            )
+            sample = a_sample(used=used, tasks={"slam-robot1": running})
+            store.record_snapshot(a_snapshot(taken_at=NOW + 10 * n, edge1=sample))
+    code, _, err = run("profile", "slam-robot1", "--service", "frame_ms")
+    assert code == 0
+    line = "service_time: {4c-4Gi: {p50: 30.5ms, p95: 34ms}}  # 4 samples of frame_ms at low load"
+    assert f"slam-robot1  {line}" in err
+    _, _, err = run("profile", "slam-robot1", "--service", "fps")
+    assert "slam-robot1 has no sample of fps while its host was nearly idle" in err
+
+
 def test_the_greatest_of_the_group_is_written_and_nothing_else(site: Path, run: Run) -> None:
     record_samples(site)
     file = site / "tasks" / "tasks.yaml"

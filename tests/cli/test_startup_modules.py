@@ -108,7 +108,7 @@ def start(folder: Path, env: dict[str, str], *words: str) -> Start:
         (("plan", "--snapshot", "snap.json"), 415, 170, SSH),
         (("probe", "--window", "0"), 550, 170, PLANNING),
         (("plan",), 600, 230, set()),
-        (("apply", "-y"), 625, 235, set()),
+        (("apply", "-y"), 635, 235, set()),
         (("status",), 600, 225, set()),
         (("logs", "beat"), 500, 165, PLANNING),
     ],

@@ -30,6 +30,7 @@ from edgectl.model.latency import LatencySample
 from edgectl.model.manager_state import ManagerState, MeasuredDemand, Placement
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy, PolicyName, Preference, SequenceRule, Weights
+from edgectl.model.predicted_latency import PredictedLatency
 from edgectl.model.resource import MEMORY, NETWORK, ResourceMap, Usage
 from edgectl.model.resource import TERMS as TERM_NAMES
 from edgectl.model.snapshot import (
@@ -138,6 +139,10 @@ CERTIFICATE = Certificate(
     timed_out=True,
 )
 UNEVEN = DemandSpread(task="t", resource=MEMORY, share=0.25, least=1.5, most=3.0, hosts=("a", "b"))
+PREDICTED = PredictedLatency(
+    p50_ms=1.0, p95_ms=2.0, p99_ms=3.0, low_ms=0.5, high_ms=4.0, service_ms=0.75, load=0.5, waiting_ms=0.25, transfer_ms=1.5,
+    rtt_ms=2.5, elsewhere=True,
+)  # fmt: skip
 RANKED = RankedHost(
     host="h",
     rank=1,
@@ -147,6 +152,7 @@ RANKED = RankedHost(
     affinity=-1,
     rejections=(REJECTION,),
     demand=(RHO,),
+    predicted_latency=PREDICTED,
 )
 COST = MoveCost(stay_s=600.0, downtime_s=4.5, per_s=0.25)
 DECISION = Decision(
@@ -161,7 +167,7 @@ PLAN = Plan(
     shortages=(SHORTAGE,), certificate=CERTIFICATE,
 )  # fmt: skip
 VALUES = [
-    LINK, LATENCY, TASK, INTERFACE, DEVICE, CPU_USE, MEMORY_USE, HOST, PLACEMENT, MANAGER, SNAPSHOT, WEIGHTS, POLICY, REJECTION, TERMS, RANKED, COST, DECISION,
+    LINK, LATENCY, TASK, INTERFACE, DEVICE, CPU_USE, MEMORY_USE, HOST, PLACEMENT, MANAGER, SNAPSHOT, WEIGHTS, POLICY, REJECTION, TERMS, PREDICTED, RANKED, COST, DECISION,
     STEP, EXPECTED, PLAN, MEASURED, RHO, UNEVEN, OTHER, OVERUSE, SHORTAGE, CERTIFICATE,
 ]  # fmt: skip
 

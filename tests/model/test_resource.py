@@ -9,7 +9,15 @@ from edgectl.model.assignment import UtilityTerms
 from edgectl.model.demand import Demand, Quantity
 from edgectl.model.inventory import Limits
 from edgectl.model.policy import WEIGHT_PRESETS, Weights
-from edgectl.model.resource import AFFINITY, HOST_RESOURCES, RESOURCES, RESOURCES_BY_NAME, TERMS, Usage
+from edgectl.model.resource import (
+    AFFINITY,
+    HOST_RESOURCES,
+    LATENCY,
+    RESOURCES,
+    RESOURCES_BY_NAME,
+    TERMS,
+    Usage,
+)
 
 
 def test_what_is_not_given_has_its_default() -> None:
@@ -41,7 +49,7 @@ def test_a_map_is_copied_pickled_and_hashed_by_value() -> None:
     assert hash(Demand(cpu=Quantity(value=1.0))) == hash(demand)
 
 
-def test_the_terms_are_the_resources_and_the_affinity() -> None:
-    assert (*(resource.name for resource in RESOURCES), AFFINITY) == TERMS
+def test_the_terms_are_the_resources_the_affinity_and_the_latency() -> None:
+    assert (*(resource.name for resource in RESOURCES), AFFINITY, LATENCY) == TERMS
     assert WEIGHT_PRESETS.keys() == {*TERMS, "all", "resources"}
     assert WEIGHT_PRESETS["all"] == Weights()

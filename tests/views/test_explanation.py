@@ -9,6 +9,8 @@ from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Step
 from edgectl.model.policy import Policy, Weights
+from edgectl.model.predicted_latency import ServiceTime
+from edgectl.model.task import Task
 from edgectl.scheduler.assign import assign
 from edgectl.scheduler.explain import TermNoise, explain_decision
 from edgectl.views.explanation import ExplanationView
@@ -34,16 +36,29 @@ edge2 would win if the cpu load of edge1 rose by more than 1.000 cores.
 """
 
 
-def taken_apart(used: float = 2.0) -> tuple[Step, Explanation]:
+def taken_apart(used: float = 2.0, task: Task | None = None) -> tuple[Step, Explanation]:
     """``used``: cores of edge2 that are in use; 1 is as many as of edge1."""
     world = a_snapshot(edge1=a_sample(used=1.0), edge2=a_sample(used=used))
-    tasks = some_tasks(a_task(cpu=0.4))
+    tasks = some_tasks(task or a_task(cpu=0.4))
     assignment: Assignment = assign(INVENTORY, tasks, world, ManagerState(), POLICY, NOW)
     noise = {"edge1": TermNoise(cpu=0.2), "edge2": TermNoise(cpu=0.2)}
     found = explain_decision(
         INVENTORY, tasks.tasks["slam"], world, assignment.decisions[0], assignment.policy, noise
     )
     return plan_from_assignment(INVENTORY, tasks, world, ManagerState(), assignment).steps[0], found
+
+
+def with_latency() -> tuple[Step, Explanation]:
+    """The explanation of a task with a deadline, whose service time is known of another class of hosts."""
+    service = {"jetson": ServiceTime(p50=0.031, p95=0.034)}
+    return taken_apart(task=a_task(cpu=0.4, deadline=0.1, service_time=service))
+
+
+def test_the_table_says_milliseconds() -> None:
+    text = ExplanationView(*with_latency()).table()
+    assert "edge1: 34 ms at p95 of 100 ms (p50 31, p99 " in text
+    assert "31 ms service at 25% load; service time of another class of hosts" in text
+    assert "latency" not in ExplanationView(*taken_apart()).table()
 
 
 def test_the_table_says_what_each_term_adds_and_what_would_flip_it() -> None:

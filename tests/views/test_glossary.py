@@ -75,6 +75,7 @@ def list_views() -> Iterator[View]:
         DiagnosisView(test_diagnosis.FOUND),
     )
     yield ExplanationView(*test_explanation.taken_apart())
+    yield ExplanationView(*test_explanation.with_latency())
     yield ProfileView([test_demands.a_profile()])
     yield CycleView(test_live.cycle(results=test_live.results(test_live.MOVED), events=(test_live.EVENT,)))
     yield from (CycleView(test_live.cycle()), CycleView(Cycle(number=3, at=NOW, error="no", busy="held")))
