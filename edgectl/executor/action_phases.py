@@ -27,8 +27,11 @@ COMPLETION_S = 30.0
 _UNKNOWN_GRACE_S = 40.0
 # What the start, the answers and the hold of a start-first move may take besides becoming ready.
 _LEAVING_MARGIN_S = 90.0
-# Looks at a ROS 1 master before and after a stop; the leases of killed nodes of ROS 2 end after 20 s.
-_GRAPH_S, _LEASE_S = 10.0, 25.0
+# Looks at a ROS 1 master before and after a stop.
+_GRAPH_S = 10.0
+# The lease of a killed node of ROS 2 ends 20 s after the helper of the host has heard it last, and on a busy
+# host that hears late. Nobody waits for longer than names are there.
+_LEASE_S = 45.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

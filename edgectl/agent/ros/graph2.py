@@ -42,7 +42,7 @@ CONNECT_S, _RETRY_S = 8.0, 0.05
 # it ends the helper: a task may live between two looks, and a stop waits for the names of its nodes.
 _LOOK_S, _POLL_S, _REST_S = 10.0, 0.5, 2.0
 OLD_HELPER = "the helper for ROS 2 is of another edgectl; try again in a minute"
-_NO_HELPER = "the helper for ROS 2 is not there: python3 of the set-up files may have no rclpy"
+NO_HELPER = "the helper for ROS 2 is not there: python3 of the set-up files may have no rclpy"
 
 
 class NoHelperError(Exception):
@@ -82,13 +82,27 @@ def find_fault(
     return ask_helper(name, asked, deadline, CONNECT_S), process
 
 
-def _ask_owners(name: str, of: "dict[str, str]", folder: str, deadline: float) -> "tuple[Owners, int]":
-    """Ask who has a name: (the owners, how many nodes have it)."""
+def list_lingering(name: str, nodes: "list[str]", deadline: float) -> "list[str]":
+    """List those of ``nodes`` that are in the graph, and neither as living processes nor of other hosts.
+
+    Raises:
+        NoHelperError: there is no helper, or none that answers.
+    """
+    found = []
+    for node in ask_helper(name, {"present": nodes}, deadline).split():
+        owners, _ = _ask_owners(name, {"node": node}, set(), deadline)
+        if owners.gone or owners.unknown or not (owners.foreign or owners.distant):
+            found.append(node)
+    return found
+
+
+def _ask_owners(name: str, of: "dict[str, str]", pids: "set[int]", deadline: float) -> "tuple[Owners, int]":
+    """Ask who has a name: (the owners, how many nodes have it). ``pids``: the processes of the task."""
     answer = ask_helper(name, {"ends": of}, deadline, CONNECT_S)
     if not answer.startswith("{"):
         raise NoHelperError(answer or OLD_HELPER)
     seen = fast_json.loads(answer)
-    return Owners(seen, participants.find_pids(folder)), int(seen["nodes"])
+    return Owners(seen, pids), int(seen["nodes"])
 
 
 def _check_owners(name: str, asked: Document, folder: str, deadline: float) -> "tuple[str, str]":
@@ -98,7 +112,7 @@ def _check_owners(name: str, asked: Document, folder: str, deadline: float) -> "
     node = asked.get("node")
     if not node:
         return "", ""
-    owners, count = _ask_owners(name, {"node": node}, folder, deadline)
+    owners, count = _ask_owners(name, {"node": node}, participants.find_pids(folder), deadline)
     if not count:
         return "node %s is not in the graph" % node, ""
     if owners.others:
@@ -109,8 +123,9 @@ def _check_owners(name: str, asked: Document, folder: str, deadline: float) -> "
 
 def _exclude_replaced(name: str, asked: Document, folder: str, deadline: float) -> "tuple[str, Document]":
     """Leave out of a question what the instance that is replaced could answer: (fault, question)."""
+    pids = participants.find_pids(folder)
     if asked.get("lifecycle"):
-        _, count = _ask_owners(name, {"node": asked["node"]}, folder, deadline)
+        _, count = _ask_owners(name, {"node": asked["node"]}, pids, deadline)
         if count > 1:
             return "node %s is in the graph %d times, and any of them may answer" % (
                 asked["node"],
@@ -118,7 +133,7 @@ def _exclude_replaced(name: str, asked: Document, folder: str, deadline: float) 
             ), asked
     topic = asked.get("topic")
     for kind, wanted in (("topic", topic and topic["name"]), ("service", asked.get("service"))):
-        owners = _ask_owners(name, {kind: wanted}, folder, deadline)[0] if wanted else None
+        owners = _ask_owners(name, {kind: wanted}, pids, deadline)[0] if wanted else None
         if owners is not None and owners.others:
             return "%s %s is not yet one of this instance" % (kind, wanted), asked
         if owners is not None and kind == "topic":
@@ -165,7 +180,7 @@ def _connect(name: str, deadline: float) -> "socket.socket":
             pass
         made.close()
         if time.monotonic() >= deadline:
-            raise NoHelperError(_NO_HELPER)
+            raise NoHelperError(NO_HELPER)
         time.sleep(_RETRY_S)
 
 
