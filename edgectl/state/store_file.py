@@ -108,11 +108,12 @@ CREATE VIEW metric_samples AS
 # Migrations: the statements that each schema adds to the one before.
 _MIGRATIONS = (_BASE_SCHEMA, _METRICS_SCHEMA)
 SCHEMA_VERSION = len(_MIGRATIONS)
-# Columns of amounts by table. Those of a resource that is newer than the file are added to it; an edgectl
-# that does not know them reads and writes the others.
-_AMOUNT_COLUMNS = {
+# Columns that are added to a file that lacks them, by table: of a resource that is newer than the file, and
+# of what edgectl did not know before. An edgectl that does not know them reads and writes the others.
+_LATER_COLUMNS = {
     "host_samples": dict.fromkeys(HOST_AMOUNT_COLUMNS, "REAL"),
     "uses": dict.fromkeys(TASK_AMOUNT_COLUMNS, "REAL NOT NULL DEFAULT 0"),
+    "known_hosts": {"access_points": "TEXT NOT NULL DEFAULT ''"},
 }
 _TASK_SAMPLES_VIEW = f"""
 DROP VIEW task_samples;
@@ -187,7 +188,7 @@ def _list_missing_columns(connection: sqlite3.Connection) -> list[str]:
     """``table ADD COLUMN column type`` for each resource that is newer than the file."""
     return [
         f"{table} ADD COLUMN {column} {kind}"
-        for table, columns in _AMOUNT_COLUMNS.items()
+        for table, columns in _LATER_COLUMNS.items()
         for known in [{row[1] for row in connection.execute(f"PRAGMA table_info({table})")}]
         for column, kind in columns.items()
         if column not in known
