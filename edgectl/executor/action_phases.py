@@ -25,8 +25,13 @@ DEFAULT_READY_S = 10.0
 COMPLETION_S = 30.0
 # The grace of a task that left the task files, whose own grace is unknown here.
 _UNKNOWN_GRACE_S = 40.0
-# Looks at a ROS 1 master before and after a stop; the leases of killed nodes of ROS 2 end after 20 s.
-_GRAPH_S, _LEASE_S = 10.0, 25.0
+# What the start, the answers and the hold of a start-first move may take besides becoming ready.
+_LEAVING_MARGIN_S = 90.0
+# Looks at a ROS 1 master before and after a stop.
+_GRAPH_S = 10.0
+# The lease of a killed node of ROS 2 ends 20 s after the helper of the host has heard it last, and on a busy
+# host that hears late. Nobody waits for longer than names are there.
+_LEASE_S = 45.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,7 +129,9 @@ def build_start_phases(
     new, old = step.decision.host or "", step.decision.previous_host
     waits = _build_need_phases(needs, plan, inventory, tasks)
     prepare = (build_reach_phase(task.name, new, inventory),)
-    start = build_run_phases(task, new, inventory)
+    start_first = _is_start_first(step, task)
+    replaces = _list_node_addresses(plan, old or "", task.name) if start_first else None
+    start = build_run_phases(task, new, inventory, replaces=replaces)
     if step.action is Action.START and not is_replacement(step):
         return StartPhases(needs=waits, prepare=prepare, change=start)
     release = build_hook_phases(Phase.RELEASE, task, task.handoff.release, new, inventory)
@@ -133,10 +140,10 @@ def build_start_phases(
         return StartPhases(needs=waits, prepare=prepare, hold=hold, change=start, release=release)
     old = old or new
     stop = build_stop_phase(task.name, task, old, inventory, instance=step.instances.get(old))
-    start_first = old != new and task.handoff.order is HandoffOrder.START_FIRST
+    leave = build_leaving_phases(task, old, step, inventory) if start_first else ()
     return StartPhases(
         needs=waits,
-        prepare=(*prepare, *_build_safe_phases(task, old, inventory)),
+        prepare=(*prepare, *_build_safe_phases(task, old, inventory), *leave),
         hold=build_hook_phases(Phase.HOLD, task, task.handoff.hold, old, inventory),
         change=(*start, stop) if start_first else (stop, *start),
         release=release,
@@ -148,6 +155,39 @@ def build_reach_phase(task: str, host_name: str, inventory: Inventory) -> Planne
     host = _get_host(inventory, host_name)
     request = PlannedRequest(host=host, body=host_requests.build_status_request(host))
     return PlannedPhase(phase=Phase.REACH, task=task, requests=(request,))
+
+
+def _is_start_first(step: Step, task: Task) -> bool:
+    """Whether the old instance of the step runs until the new one is ready."""
+    if step.action is Action.START or is_replacement(step):
+        return False
+    elsewhere = step.decision.previous_host not in (None, step.decision.host)
+    return elsewhere and task.handoff.order is HandoffOrder.START_FIRST
+
+
+def build_leaving_phases(
+    task: Task, host_name: str, step: Step, inventory: Inventory, *, seconds: float | None = None
+) -> PlannedPhases:
+    """Tell the old instance of a start-first move, where it may be a node of ROS, that its successor starts.
+
+    ``seconds``: for how long at most; as long as that may take where it is None.
+    """
+    host = _get_host(inventory, host_name)
+    instance = step.instances.get(host_name)
+    if host.ros is None or instance is None:
+        return ()
+    seconds = _get_ready_timeout(task) + _LEAVING_MARGIN_S if seconds is None else seconds
+    body = host_requests.build_leaving_request(task.name, host, instance=instance, seconds=seconds)
+    return (
+        PlannedPhase(phase=Phase.REACH, task=task.name, requests=(PlannedRequest(host=host, body=body),)),
+    )
+
+
+def _list_node_addresses(plan: Plan, host: str, task: str) -> tuple[str, ...]:
+    """List the addresses of the nodes of the instance on ``host``, as far as a ROS 1 master had them."""
+    sample = plan.snapshot.hosts.get(host)
+    run = sample.tasks.get(task) if sample is not None else None
+    return tuple(sorted(set(run.nodes.values()))) if run is not None else ()
 
 
 def build_stop_phase(
@@ -174,13 +214,18 @@ def build_stop_phase(
 
 
 def build_run_phases(
-    task: Task, host_name: str, inventory: Inventory, *, phase: Phase = Phase.START
+    task: Task,
+    host_name: str,
+    inventory: Inventory,
+    *,
+    phase: Phase = Phase.START,
+    replaces: tuple[str, ...] | None = None,
 ) -> PlannedPhases:
     """Start a task on a host and wait until it is ready by its own check (up for its time, where it has
-    none).
+    none). ``replaces``: addresses of nodes of an instance that runs meanwhile; None where none does.
     """
     host = _get_host(inventory, host_name)
-    body = host_requests.build_start_request(task, host, inventory.hosts)
+    body = host_requests.build_start_request(task, host, inventory.hosts, replaces=replaces)
     start = PlannedPhase(phase=phase, task=task.name, requests=(PlannedRequest(host=host, body=body),))
     return start, _build_ready_phase(task, host, inventory)
 

@@ -1,7 +1,8 @@
 """Moves, restarts and replacements of a task: one unit, in the order that its handoff contract states.
 
 stop-first: safe? -> hold -> stop old, verified gone -> start new -> ready -> release.
-start-first: safe? -> hold -> start new -> ready -> stop old -> release.
+start-first: safe? -> hold -> start new -> ready -> stop old -> release. A node of ROS is told before that its
+successor starts, which may throw it out of the graph.
 replacement of an instance that is gone with its unreachable host: hold -> start new -> ready -> release.
 
 What ends a handoff (taking the new instance away, putting the old one back, release) asks a host that was
@@ -11,23 +12,30 @@ A robot on hold is released only when an instance is ready again, new or old. Wh
 the result reports it, and the next apply that gets an instance ready releases it (``hold_release``).
 """
 
+import contextlib
 import time
 
+from edgectl.agent.link import protocol
 from edgectl.errors import HostError, RefusedError
 from edgectl.executor.action_phases import (
     PlannedPhase,
     StartPhases,
     build_hook_phases,
+    build_leaving_phases,
     build_run_phases,
     build_stop_phase,
 )
 from edgectl.executor.concurrent_change import ConcurrentChangeError
 from edgectl.executor.heard import begin_gap_watch
+from edgectl.executor.host_requests import build_status_request
 from edgectl.executor.phases import perform_phase, perform_phases, resolve_variables
 from edgectl.executor.step_run import StepRun
 from edgectl.model.check import CheckLocation
 from edgectl.model.result import ActionResult, Outcome, Phase
 from edgectl.model.task import RestartPolicy, Task
+
+# For so long what is left of a new instance in a ROS graph is no fault of the old one, which stays.
+_FORGOTTEN_S = 30.0
 
 
 class _HandoffError(Exception):
@@ -142,10 +150,32 @@ def _recover_stop_first(
 def _recover_start_first(
     act: StepRun, task: Task, failed: PlannedPhase, old: str, new: str, error: HostError
 ) -> _HandoffError:
-    """Where the new instance failed, take it away again; the old one was never touched."""
+    """Where the new instance failed, take it away again; the old one was never touched, but a node of the new
+    one may have thrown it out of the ROS graph: then it is put back.
+    """
     if failed.phase is Phase.STOP:
         return _HandoffError(error, new, steers=True)
-    return _withdraw_new_instance(act, task, old, new, error)
+    if _has_ended(act, task, old):
+        return _restore_old_instance(act, task, old, new, error, time.monotonic())
+    withdrawn = _withdraw_new_instance(act, task, old, new, error)
+    with contextlib.suppress(HostError):
+        perform_phases(
+            act, build_leaving_phases(task, old, act.step, act.run.inventory, seconds=_FORGOTTEN_S)
+        )
+    return withdrawn
+
+
+def _has_ended(act: StepRun, task: Task, old: str) -> bool:
+    """Whether the old instance, a node of ROS, certainly has ended."""
+    host = act.run.hosts[old]
+    if host.ros is None:
+        return False
+    try:
+        entries = act.run.ask(host, build_status_request(host, task.name)).get("tasks")
+    except HostError:
+        return False
+    entry = entries.get(task.name, {}) if isinstance(entries, dict) else None
+    return isinstance(entry, dict) and entry.get("state") not in protocol.ALIVE_STATES
 
 
 def _end_failed_handoff(act: StepRun, task: Task, failed: _HandoffError) -> ActionResult:

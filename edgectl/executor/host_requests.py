@@ -1,7 +1,7 @@
 """Requests to the agent of a host, as values. Pure."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from edgectl.agent.link import protocol
 from edgectl.model.check import AliveRule, Check, CheckLocation, OnUnhealthy
@@ -22,10 +22,13 @@ def build_instance_id(plan_id: str, task: str, host: str, attempt: int) -> str:
     return hashlib.sha256("\0".join((plan_id, task, host, str(attempt))).encode()).hexdigest()[:16]
 
 
-def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
+def build_start_request(
+    task: Task, host: Host, hosts: Hosts, *, replaces: Collection[str] | None = None
+) -> Request:
     """Start ``task`` on ``host`` under its supervisor; a ready check on the robot is left to the manager.
 
     Secrets are masked, instance, generation and manager are placeholders; `fill_start_request` completes it.
+    ``replaces``: another instance runs until this one is ready, with nodes at these addresses; None: none.
     """
     ready = task.ready if task.ready is not None and task.ready.on is CheckLocation.HOST else None
     spec: Request = {
@@ -47,6 +50,7 @@ def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
         "fields": dict(task.spec_fields),
         "file": task.file,
         "needed": "",
+        "replaces": None if replaces is None else list(replaces),
     }
     return {
         "op": protocol.OP_START,
@@ -157,6 +161,21 @@ def build_wait_request(
     }
 
 
+def build_leaving_request(name: str, host: Host, *, instance: str, seconds: float) -> Request:
+    """Tell the supervisor of an instance that its successor starts elsewhere, for at most ``seconds``; 0: it
+    does so no longer.
+    """
+    return {
+        "op": protocol.OP_MARK,
+        "fleet": host.fleet,
+        "host": host.name,
+        "task": name,
+        "instance": instance,
+        "ready": False,
+        "leaving_s": seconds,
+    }
+
+
 def build_mark_ready_request(name: str, host: Host, *, instance: str) -> Request:
     """Mark the instance as ready on the host after a ready check elsewhere passed."""
     return {
@@ -166,6 +185,7 @@ def build_mark_ready_request(name: str, host: Host, *, instance: str) -> Request
         "task": name,
         "instance": instance,
         "ready": True,
+        "leaving_s": None,
     }
 
 

@@ -91,7 +91,9 @@ def _stop_task(act: StepRun, planned: PlannedPhase) -> None:
                 hint=f"end them on {host.name}, then apply again",
                 host=host.name,
             )
-        if answer.get("state") == protocol.NOT_RUNNING and _was_alive(act, request):
+        gone = answer.get("state") == protocol.NOT_RUNNING and _was_alive(act, request)
+        # In a start-first move the successor may have thrown it out of the ROS graph.
+        if gone and not (act.started and host.ros is not None):
             check_gone_everywhere(act, host)
 
 

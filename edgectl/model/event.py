@@ -11,6 +11,7 @@ class EventKind(StrEnum):
     HOST_LOST = "host-lost"
     HOST_BACK = "host-back"
     HOST_REBOOTED = "host-rebooted"
+    ROAMED = "roamed"
     LINK_DOWN = "link-down"
     LINK_BACK = "link-back"
     TASK_STARTED = "task-started"

@@ -26,12 +26,16 @@ _ENDING_EVENTS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KnownHost:
-    """A host as last seen at ``at``, with this status since ``since``."""
+    """A host as last seen at ``at``, with this status since ``since``.
+
+    ``access_points``: the one that each of its radios has joined last, by interface.
+    """
 
     at: float
     since: float
     status: HostStatus
     boot_id: str = ""
+    access_points: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,31 +106,51 @@ def _is_newer(at: float, known: KnownHost | KnownTask | None) -> bool:
 def _update_known_host(at: float, sample: HostSample, before: KnownHost | None) -> KnownHost:
     since = before.since if before is not None and before.status is sample.status else at
     boot_id = sample.device.boot_id or (before.boot_id if before else "")
-    return KnownHost(at=at, since=since, status=sample.status, boot_id=boot_id)
+    joined = _list_access_points(sample)
+    points = {**(before.access_points if before is not None else {}), **joined}
+    return KnownHost(at=at, since=since, status=sample.status, boot_id=boot_id, access_points=points)
+
+
+def _list_access_points(sample: HostSample) -> dict[str, str]:
+    interfaces = sample.device.interfaces
+    return {name: each.access_point for name, each in interfaces.items() if each.access_point}
 
 
 def _detect_host_events(
-    at: float, name: str, sample: HostSample, before: KnownHost | None
+    at: float, host: str, sample: HostSample, before: KnownHost | None
 ) -> Iterator[Event]:
     was_ok = before is None or before.status is HostStatus.OK
     if not sample.ok:
         if was_ok:
-            yield Event(at=at, kind=EventKind.HOST_LOST, host=name, message=sample.error)
+            yield Event(at=at, kind=EventKind.HOST_LOST, host=host, message=sample.error)
         return
     if before is not None and not was_ok:
         yield Event(
             at=at,
             kind=EventKind.HOST_BACK,
-            host=name,
+            host=host,
             message=f"after {format_duration(max(0.0, at - before.since))}",
         )
     if before is not None and before.boot_id and sample.device.boot_id not in ("", before.boot_id):
         yield Event(
             at=at,
             kind=EventKind.HOST_REBOOTED,
-            host=name,
+            host=host,
             message="the machine has rebooted since",
         )
+    for name, point in _list_access_points(sample).items():
+        last = before.access_points.get(name) if before is not None else None
+        if last is not None and last != point:
+            yield Event(
+                at=at, kind=EventKind.ROAMED, host=host, message=_describe_roaming(sample, name, last)
+            )
+
+
+def _describe_roaming(sample: HostSample, interface: str, last: str) -> str:
+    radio = sample.device.interfaces[interface]
+    since = "" if radio.joined_s is None else f" {format_duration(radio.joined_s)} ago"
+    level = "" if radio.level_dbm is None else f", {radio.level_dbm:.0f} dBm"
+    return f"{interface} joined {radio.access_point}{since}, after {last}{level}"
 
 
 # -- tasks -----------------------------------------------------------------------------------------

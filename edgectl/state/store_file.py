@@ -108,12 +108,13 @@ CREATE VIEW metric_samples AS
 # Migrations: the statements that each schema adds to the one before.
 _MIGRATIONS = (_BASE_SCHEMA, _METRICS_SCHEMA)
 SCHEMA_VERSION = len(_MIGRATIONS)
-# Columns that may be newer than the file, such as those of amounts by resource: they are added to it; an
-# edgectl that does not know them reads and writes the others.
+# Columns that are added to a file that lacks them, by table: of a resource that is newer than the file, and
+# of what edgectl did not know before. An edgectl that does not know them reads and writes the others.
 _ADDED_COLUMNS = {
     "host_samples": dict.fromkeys(HOST_AMOUNT_COLUMNS, "REAL"),
     "uses": dict.fromkeys(TASK_AMOUNT_COLUMNS, "REAL NOT NULL DEFAULT 0"),
     "actions": {"gap_s": "REAL"},
+    "known_hosts": {"access_points": "TEXT NOT NULL DEFAULT ''"},
 }
 _VIEWS = f"""
 DROP VIEW task_samples;

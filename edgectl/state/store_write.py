@@ -175,7 +175,9 @@ def load_known_fleet(connection: sqlite3.Connection) -> KnownFleet:
     Raises:
         DamagedRowError: edgectl did not write it.
     """
-    hosts = connection.execute("SELECT host, at, since, status, boot_id FROM known_hosts").fetchall()
+    hosts = connection.execute(
+        "SELECT host, at, since, status, boot_id, access_points FROM known_hosts"
+    ).fetchall()
     tasks = connection.execute("SELECT task, at, host, state, instance, restarts FROM known_tasks").fetchall()
     try:
         return KnownFleet(
@@ -187,13 +189,26 @@ def load_known_fleet(connection: sqlite3.Connection) -> KnownFleet:
 
 
 def _decode_known_host(row: rows.Row) -> KnownHost:
-    _name, at, since, status, boot_id = row
+    _name, at, since, status, boot_id, points = row
     return KnownHost(
         at=rows.decode_real(at),
         since=rows.decode_real(since),
         status=HostStatus(status),
         boot_id=rows.decode_text(boot_id),
+        access_points=_decode_access_points(rows.decode_text(points)),
     )
+
+
+def _decode_access_points(text: str) -> dict[str, str]:
+    """Decode the access points by interface; a host of an edgectl that did not know them has none.
+
+    Raises:
+        ValueError: they are no such thing.
+    """
+    found = json.loads(text or "{}")
+    if not isinstance(found, dict):
+        raise ValueError("access points are no mapping")
+    return {str(name): str(point) for name, point in found.items()}
 
 
 def _decode_known_task(row: rows.Row) -> KnownTask:
@@ -210,7 +225,14 @@ def _decode_known_task(row: rows.Row) -> KnownTask:
 def write_known_fleet(connection: sqlite3.Connection, before: KnownFleet, after: KnownFleet) -> None:
     """Save the known state if it differs from ``before``."""
     hosts = [
-        (name, each.at, each.since, each.status, each.boot_id)
+        (
+            name,
+            each.at,
+            each.since,
+            each.status,
+            each.boot_id,
+            json.dumps(dict(each.access_points), sort_keys=True),
+        )
         for name, each in after.hosts.items()
         if each is not before.hosts.get(name)
     ]
@@ -219,7 +241,7 @@ def write_known_fleet(connection: sqlite3.Connection, before: KnownFleet, after:
         for name, each in after.tasks.items()
         if each is not before.tasks.get(name)
     ]
-    _insert_rows(connection, "known_hosts", "host, at, since, status, boot_id", hosts)
+    _insert_rows(connection, "known_hosts", "host, at, since, status, boot_id, access_points", hosts)
     _insert_rows(connection, "known_tasks", "task, at, host, state, instance, restarts", tasks)
     connection.execute(
         "DELETE FROM known_tasks WHERE host IS NULL AND task NOT IN"

@@ -15,6 +15,7 @@ _EVENT_STYLES = {
     EventKind.HOST_LOST: "bad",
     EventKind.HOST_BACK: "good",
     EventKind.HOST_REBOOTED: "warn",
+    EventKind.ROAMED: "warn",
     EventKind.LINK_DOWN: "bad",
     EventKind.LINK_BACK: "good",
     EventKind.TASK_STARTED: "good",

@@ -57,6 +57,7 @@ def test_requests_of_the_manager_have_the_stated_keys() -> None:
         requests.build_stop_request("slam", edge, task=task, instance="i"),
         requests.build_wait_request("slam", edge, instance="i", timeout_s=1.0),
         requests.build_mark_ready_request("slam", edge, instance="i"),
+        requests.build_leaving_request("slam", edge, instance="i", seconds=1.0),
         requests.build_check_request(task, Check(command="true"), edge, fleet.hosts),
         requests.build_status_request(edge),
         build_probe_request(

@@ -36,7 +36,7 @@ REQUESTS: dict[str, tuple[dict[str, Any], set[str], int]] = {
             "spec": a_spec("exec sleep 600", runtime="process"),
         },
         {"select"},
-        34,
+        35,
     ),
 }
 

@@ -14,6 +14,8 @@ import pytest
 import yaml
 
 from edgectl.config.load import load_inventory_and_tasks
+from edgectl.model.check import OnUnhealthy
+from edgectl.model.task import NeedRestart
 from edgectl.scaffold.write import write_scaffold
 from tests.cli.inprocess import edgectl
 from tests.compiled_agent import give_scaffold_keys
@@ -162,6 +164,25 @@ def test_the_files_of_the_readme_are_valid(tmp_path: Path) -> None:
     inventory, tasks, _ = load_inventory_and_tasks(tmp_path / "lab.yaml", [tmp_path / "tasks.yaml"])
     assert list(inventory.hosts) == ["edge1", "edge2", "robot1"]
     assert list(tasks.tasks) == ["navigation-robot1", "slam-robot1"]
+
+
+def test_the_bringup_of_the_ros_page_is_valid(tmp_path: Path) -> None:
+    """Its two files, as they stand there; without a word of warning."""
+    text = (ROOT / "docs" / "ros.md").read_text()
+    for block, name in re.findall(r"^```yaml\n(# (\S+)\n.*?)^```$", text, re.MULTILINE | re.DOTALL):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).write_text(block)
+    done = edgectl(["validate"], tmp_path, environment(tmp_path / "state"))
+    assert (done.code, done.out, done.err) == (0, "ok: 2 edges, 1 robot, 3 tasks\n", "")
+    _, tasks, _ = load_inventory_and_tasks(
+        tmp_path / "inventories" / "lab.yaml", [tmp_path / "tasks" / "bringup.yaml"]
+    )
+    slam = tasks.tasks["slam-robot1"]
+    assert slam.command == "rosrun gmapping slam_gmapping __name:=robot1_slam scan:=/robot1/scan"
+    assert slam.alive is not None
+    assert slam.alive.check.describe() == "node /robot1_slam is alive, a message on /robot1/map within 2 s"
+    assert slam.alive.on_unhealthy is OnUnhealthy.RESTART
+    assert [(need.task, need.restart) for need in slam.needs] == [("roscore", NeedRestart.WITH)]
 
 
 def test_every_dependency_has_its_reason() -> None:

@@ -423,15 +423,23 @@ def repair_fleet(fleet: FaultFleet) -> None:
 
 @contextmanager
 def open_fleet(
-    kind: str, directory: Path, names: list[str], seed: int, variant: "EdgectlVariant | None" = None
+    kind: str,
+    directory: Path,
+    names: list[str],
+    seed: int,
+    variant: "EdgectlVariant | None" = None,
+    *,
+    shared: Mapping[str, Path] | None = None,
 ) -> Iterator[FaultFleet]:
-    """Open a fleet of hosts of one kind; clean up at the end."""
+    """Open a fleet of hosts of one kind; clean up at the end. ``shared``: directories of this machine that
+    computers in namespaces have too.
+    """
     variant = variant or EdgectlVariant()
     with ExitStack() as stack:
         prefix: list[str] = []
         netns = None
         if kind != "loopback":
-            made = start_namespace_hosts(directory / "hosts", names, systemd=kind == "systemd")
+            made = start_namespace_hosts(directory / "hosts", names, systemd=kind == "systemd", shared=shared)
             site, hosts = stack.enter_context(made)
             prefix, netns = site.prefix, site.netns
         else:

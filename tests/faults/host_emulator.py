@@ -112,6 +112,9 @@ def make_disk(config: dict[str, Any]) -> Path:
         root,
     )
     mount("-t", "tmpfs", "-o", f"size={config['home_size']},mode=755", "home", root / "home")
+    for place, source in config["shared"].items():
+        (root / place.lstrip("/")).mkdir(parents=True)
+        mount("--bind", source, root / place.lstrip("/"))
     for hidden in config["hidden"]:
         mount("-t", "tmpfs", "-o", "size=4k,mode=755", "hidden", root / hidden.lstrip("/"))
     return root

@@ -90,7 +90,10 @@ def find_sshd() -> str:
 
 @dataclass(kw_only=True)
 class NamespaceHost:
-    """A computer with network, pid, mount, uts and ipc namespaces, disk, sshd and boot id of its own."""
+    """A computer with network, pid, mount, uts and ipc namespaces, disk, sshd and boot id of its own.
+
+    ``shared``: directories of the machine that it has too, at these places of its disk.
+    """
 
     name: str
     site: ManagerNetwork
@@ -99,6 +102,7 @@ class NamespaceHost:
     user_key: str
     cores: float | None = None
     systemd: bool = False
+    shared: Mapping[str, Path] = field(default_factory=dict)
     env: dict[str, str] = field(default_factory=dict)
     kind: str = "namespace"
     can: frozenset[str] = frozenset({POWER, CABLE, REBOOT, DISK, MOUNTS, PYTHON})
@@ -139,6 +143,7 @@ class NamespaceHost:
             "user": USER,
             "home_size": "24m",
             "hidden": [str(REPOSITORY)],
+            "shared": {place: str(source.resolve()) for place, source in self.shared.items()},
             "oracle": str(self.directory / "oracle"),
             "ssh": str(self.directory / "ssh"),
             "sshd": sshd.find_program("sshd"),
@@ -391,9 +396,16 @@ class NamespaceHost:
 
 @contextmanager
 def start_namespace_hosts(
-    directory: Path, names: list[str], *, cores: Mapping[str, float] | None = None, systemd: bool = False
+    directory: Path,
+    names: list[str],
+    *,
+    cores: Mapping[str, float] | None = None,
+    systemd: bool = False,
+    shared: Mapping[str, Path] | None = None,
 ) -> Iterator[tuple[ManagerNetwork, dict[str, Host]]]:
-    """Start computers in namespaces and the manager's network; needs root. ``systemd``: it is their PID 1."""
+    """Start computers in namespaces and the manager's network; needs root. ``systemd``: it is their PID 1.
+    ``shared``: directories of the machine that they have too.
+    """
     directory.mkdir(parents=True, exist_ok=True)
     key = sshd.make_key(directory / "user_key")
     with ExitStack() as stack:
@@ -409,6 +421,7 @@ def start_namespace_hosts(
                 user_key=key,
                 cores=(cores or {}).get(name),
                 systemd=systemd,
+                shared=shared or {},
             )
             stack.callback(host.close)
             hosts[name] = host

@@ -1,4 +1,4 @@
-"""A lab for the tests: real ROS 1 on computers in namespaces, each with an address of its own."""
+"""A lab for the tests: real ROS on computers in namespaces, each with an address of its own."""
 
 import json
 import shutil
@@ -10,23 +10,33 @@ from typing import Any
 
 from tests.faults.fleet import APPLY, FaultFleet, open_fleet
 from tests.pace import patience
+from tests.views.fixtures import ROOT
 
 HERE = Path(__file__).parent
 MASTER = "http://{address}:11311"
 CORE, SECOND, ROBOT = "host1", "host2", "host3"
 WITH_CORE = {"task": "roscore", "restart": "with"}
 NODE = "exec /usr/bin/python3 $HOME/{file}"
+NODE2 = "exec python3 $HOME/{file}"
+# Where computers have the libraries of ROS 2.
+LIBRARIES = "/opt/ros2-libraries"
 
 
 @contextmanager
-def open_lab(folder: Path) -> Iterator[FaultFleet]:
-    """Open a fleet of three computers with the ROS 1 of this machine; the master is to run on the first."""
-    with open_fleet("namespace", folder, [CORE, SECOND, ROBOT], 1) as fleet:
+def open_lab(folder: Path, version: int = 1) -> Iterator[FaultFleet]:
+    """Open a fleet of three computers with the ROS 1 of this machine, where the master is to run on the first, or
+    with the ROS 2 of the tests.
+    """
+    shared = {} if version == 1 else {LIBRARIES: ROOT / ".venv-ros2" / "lib"}
+    with open_fleet("namespace", folder, [CORE, SECOND, ROBOT], 1, shared=shared) as fleet:
         master = MASTER.format(address=fleet.get_computer(CORE).address)
         for name in fleet.hosts:
-            fleet.inventory[name]["ros"] = {"version": 1, "master": master}
             host = fleet.get_computer(name)
             host.boot()
+            ros = {"version": 1, "master": master}
+            if version != 1:
+                ros = {"version": 2, "domain": 7, "setup": [install_ros2(host.home)]}
+            fleet.inventory[name]["ros"] = ros
             for file in ("counting.py", "pipeline.py"):
                 shutil.copy(HERE / file, host.home / file)
         fleet.trust_host_keys()
@@ -34,6 +44,18 @@ def open_lab(folder: Path) -> Iterator[FaultFleet]:
             result = fleet.run_edgectl("trust", name, "--yes")
             assert result.code == 0, result
         yield fleet
+
+
+def install_ros2(home: Path) -> str:
+    """Make a Python of the computer that has the libraries of ROS 2: the set-up file, as the computer names it."""
+    venv = home / "ros2"
+    (venv / "bin").mkdir(parents=True, exist_ok=True)
+    (venv / "pyvenv.cfg").write_text("home = /usr/bin\n")
+    for place, target in ((venv / "bin" / "python3", "/usr/bin/python3"), (venv / "lib", LIBRARIES)):
+        if not place.is_symlink():
+            place.symlink_to(target)
+    (home / "setup.bash").write_text("export PATH=$HOME/ros2/bin:$PATH\n")
+    return "~/setup.bash"
 
 
 def add_task(fleet: FaultFleet, name: str, command: str, *hosts: str, **fields: Any) -> None:

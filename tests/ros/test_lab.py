@@ -77,9 +77,10 @@ def test_names_of_a_lost_host_are_removed_once_it_is_certain_that_it_is_gone(tmp
         wait_for(lambda: "/talker" in list_nodes(fleet), 30.0)
 
 
-def test_moves_of_a_pipeline_are_as_silent_as_they_are_said_to_be(tmp_path: Path) -> None:
-    with open_lab(tmp_path) as fleet:
-        for move in measure_moves(fleet, count=1):
+@pytest.mark.parametrize("version", [1, 2])
+def test_moves_of_a_pipeline_are_as_silent_as_they_are_said_to_be(version: int, tmp_path: Path) -> None:
+    with open_lab(tmp_path, version) as fleet:
+        for move in measure_moves(fleet, version, count=1):
             print(move)
             assert move.gap_s is not None
             # The sink hears from when the nodes know each other, which is after the node is ready.

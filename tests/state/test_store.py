@@ -10,7 +10,14 @@ import pytest
 
 from edgectl.model.event import Event, EventKind
 from edgectl.model.resource import Usage
-from edgectl.model.snapshot import HostStatus, LinkSample, TaskSample, TaskState
+from edgectl.model.snapshot import (
+    DeviceSample,
+    HostStatus,
+    InterfaceSample,
+    LinkSample,
+    TaskSample,
+    TaskState,
+)
 from edgectl.state.store import Retention, Store
 from tests.builders import NOW, a_run, a_sample, a_snapshot, silent
 
@@ -65,7 +72,8 @@ def test_a_file_without_the_columns_of_a_resource_gets_them(tmp_path: Path) -> N
         older.executescript(
             "ALTER TABLE host_samples DROP COLUMN used_bytes; ALTER TABLE host_samples DROP COLUMN total_bytes;"
             "DROP VIEW task_samples; ALTER TABLE uses DROP COLUMN used_bytes;"
-            "CREATE VIEW task_samples AS SELECT at, task FROM starts JOIN uses USING (start)"
+            "CREATE VIEW task_samples AS SELECT at, task FROM starts JOIN uses USING (start);"
+            "ALTER TABLE known_hosts DROP COLUMN access_points"
         )
     used = Usage(cpu=0.5, memory=2e8)
     with Store.open(tmp_path, warn=pytest.fail) as store:
@@ -74,6 +82,20 @@ def test_a_file_without_the_columns_of_a_resource_gets_them(tmp_path: Path) -> N
         )
         assert [point.amounts["used_bytes"] for point in store.host_points("edge1")] == [None, 3e8]
         assert [point.used["memory"] for point in store.task_points("slam")] == [0.0, 2e8]
+
+
+def test_roaming_is_recorded_by_another_call_than_the_one_that_saw_the_first_access_point(
+    tmp_path: Path,
+) -> None:
+    for second, point in enumerate(("02:00:00:00:00:0a", "02:00:00:00:00:0b", "02:00:00:00:00:0b")):
+        radio = InterfaceSample(rx_bytes_per_s=0.0, tx_bytes_per_s=0.0, access_point=point)
+        robot = dataclasses.replace(a_sample(), device=DeviceSample(interfaces={"wlan0": radio}))
+        with Store.open(tmp_path, warn=pytest.fail) as store:
+            store.record_snapshot(a_snapshot(taken_at=NOW + second, robot1=robot))
+    with Store.open(tmp_path) as store:
+        [event] = store.events()
+    assert (event.kind, event.host, event.at) == (EventKind.ROAMED, "robot1", NOW + 1)
+    assert event.message == "wlan0 joined 02:00:00:00:00:0b, after 02:00:00:00:00:0a"
 
 
 def test_the_same_snapshot_again_changes_nothing(tmp_path: Path) -> None:

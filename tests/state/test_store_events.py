@@ -3,11 +3,21 @@
 import dataclasses
 from typing import Any
 
+import pytest
+
 from edgectl.model.event import Event
 from edgectl.model.plan import Action
 from edgectl.model.resource import Usage
 from edgectl.model.result import ActionResult, Outcome, Phase, PhaseResult, Results
-from edgectl.model.snapshot import DeviceSample, HostSample, HostStatus, Snapshot, TaskSample, TaskState
+from edgectl.model.snapshot import (
+    DeviceSample,
+    HostSample,
+    HostStatus,
+    InterfaceSample,
+    Snapshot,
+    TaskSample,
+    TaskState,
+)
 from edgectl.state.store_action_events import detect_result_events
 from edgectl.state.store_events import KnownFleet, KnownHost, KnownTask, detect_events
 from tests.builders import NOW, a_sample, silent
@@ -83,6 +93,33 @@ def test_a_host_that_started_anew_is_told_with_and_without_a_silence() -> None:
         rebooted,
     ]
     assert list_told_events(at(0, edge1=a_host()), at(10, edge1=a_host("")))[0] == []
+
+
+def a_robot(point: str, joined_s: float | None = 3.0) -> HostSample:
+    """A host with a radio that has joined this access point; empty for none."""
+    radio = InterfaceSample(
+        rx_bytes_per_s=0.0, tx_bytes_per_s=0.0, access_point=point, joined_s=joined_s, level_dbm=-61.0
+    )
+    cable = InterfaceSample(rx_bytes_per_s=0.0, tx_bytes_per_s=0.0)
+    device = DeviceSample(boot_id="boot1", interfaces={"eth0": cable, "wlan0": radio})
+    return dataclasses.replace(a_sample(tasks={}), device=device)
+
+
+def test_a_radio_that_joined_another_access_point_has_roamed() -> None:
+    first, second = at(0, robot1=a_robot("02:00:00:00:00:0a")), at(10, robot1=a_robot("02:00:00:00:00:0b"))
+    text = "wlan0 joined 02:00:00:00:00:0b 3.0s ago, after 02:00:00:00:00:0a, -61 dBm"
+    assert list_told_events(first)[0] == []
+    assert list_told_events(first, second)[0] == [("roamed", "-", "robot1", text)]
+    assert list_told_events(first, second, at(20, robot1=a_robot("02:00:00:00:00:0b", 13.0)))[0] == []
+
+
+@pytest.mark.parametrize("between", [a_robot("", None), silent()])
+def test_a_radio_has_roamed_after_it_had_none_or_its_host_was_silent(between: HostSample) -> None:
+    """And has not where it joined the same one again."""
+    first = at(0, robot1=a_robot("02:00:00:00:00:0a"))
+    for point, kinds in (("02:00:00:00:00:0a", []), ("02:00:00:00:00:0b", ["roamed"])):
+        told = list_told_events(first, at(10, robot1=between), at(20, robot1=a_robot(point)))[0]
+        assert [kind for kind, *_ in told if kind != "host-back"] == kinds
 
 
 # -- tasks -------------------------------------------------------------------------------------------------------------------------------

@@ -112,7 +112,7 @@ def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C90
     elif name == protocol.OP_WAIT:
         from ..supervise.status import wait_for_task as operation
     elif name == protocol.OP_MARK:
-        from ..supervise.status import mark_ready as operation
+        from ..supervise.status import mark_task as operation
     elif name == protocol.OP_CHECK:
         from ..ros.question import run_check as operation
     elif name == protocol.OP_GRAPH:

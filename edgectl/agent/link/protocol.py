@@ -67,7 +67,7 @@ REQUEST_KEYS = {
     ),
     OP_LEASE: ("action", "lease", "end_watch"),
     OP_LOGS: ("task", "tail"),
-    OP_MARK: ("task", "instance", "ready"),
+    OP_MARK: ("task", "instance", "ready", "leaving_s"),
     OP_PROBE: ("window_s", "links", "peers", "detect", "checks", "latency", "former", "manager"),
     OP_PROFILER_START: ("every_s", "ttl_s", "links", "peers", "detect"),
     OP_PROFILER_STATUS: ("links", "peers", "detect"),
@@ -101,6 +101,7 @@ SPEC_KEYS = (
     "fields",
     "file",
     "needed",
+    "replaces",
 )
 # Keys of the entry of a task in a reply; the last line is measured by OP_PROBE alone.
 ENTRY_KEYS = (

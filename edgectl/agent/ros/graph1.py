@@ -15,7 +15,7 @@ from .xmlrpc import CallError
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import Mapping
+    from typing import Collection, Mapping
 
 CALLER = "/edgectl"
 CALL_S = 3.0
@@ -29,17 +29,21 @@ def find_fault(
     """Find (the first condition of ``asked`` that does not hold, the process of the node).
 
     The fault is empty where all hold. ``env`` is that of the task: its master, and the mark of its processes.
+    ``replaces`` in ``asked``: addresses of nodes whose answers do not count, of another instance of the task.
     """
     master, process = env.get("ROS_MASTER_URI") or os.environ.get("ROS_MASTER_URI", ""), ""
+    replaced = asked.get("replaces") or ()
     if not master:
         return "no ROS_MASTER_URI: state ros: {master: ..} in the inventory", ""
     try:
         if asked.get("node"):
-            process = str(_check_node(asked["node"], master, env, deadline))
+            process = str(_check_node(asked["node"], master, env, replaced, deadline))
         if asked.get("topic"):
-            _check_topic(asked["topic"]["name"], float(asked["topic"]["within_s"]), master, deadline)
+            _check_topic(
+                asked["topic"]["name"], float(asked["topic"]["within_s"]), master, replaced, deadline
+            )
         if asked.get("service"):
-            _check_service(asked["service"], master, deadline)
+            _check_service(asked["service"], master, replaced, deadline)
     except CallError as error:
         return str(error), process
     return "", process
@@ -53,12 +57,16 @@ def ask_master(master: str, method: str, params: "list[str]", deadline: float) -
         raise CallError("master %s: %s" % (master, error)) from error
 
 
-def _check_node(node: str, master: str, env: "Mapping[str, str]", deadline: float) -> "object":
+def _check_node(
+    node: str, master: str, env: "Mapping[str, str]", replaced: "Collection[str]", deadline: float
+) -> "object":
     """Check that the node lives, and is one of the task; returns its process id."""
     try:
         uri = str(ask_master(master, "lookupNode", [node], deadline))
     except CallError as error:
         raise CallError("node %s is not registered: %s" % (node, error)) from error
+    if uri in replaced:
+        raise CallError("node %s is still that of the instance which this one replaces" % node)
     try:
         pid = xmlrpc.call_ros(uri, "getPid", [CALLER], min(deadline, time.monotonic() + CALL_S))
     except CallError as error:
@@ -98,13 +106,18 @@ def is_listening(pid: int, port: int) -> bool:
     return False
 
 
-def _check_topic(topic: str, within_s: float, master: str, deadline: float) -> None:
+def _check_topic(
+    topic: str, within_s: float, master: str, replaced: "Collection[str]", deadline: float
+) -> None:
     """Read one message, or more of its bytes than none, from any publisher of the topic."""
     state = ask_master(master, "getSystemState", [], deadline)
     publishers = state[0] if isinstance(state, list) and state else []
     nodes = [str(node) for name, names in publishers if name == topic for node in names]
     if not nodes:
         raise CallError("topic %s has no publisher" % topic)
+    nodes = _exclude_replaced(nodes, master, replaced, deadline)
+    if not nodes:
+        raise CallError("topic %s has no publisher but the instance which this one replaces" % topic)
     until, why = min(deadline, time.monotonic() + within_s), ""
     opened = []
     try:
@@ -118,6 +131,15 @@ def _check_topic(topic: str, within_s: float, master: str, deadline: float) -> N
     finally:
         for each in opened:
             each.close()
+
+
+def _exclude_replaced(
+    nodes: "list[str]", master: str, replaced: "Collection[str]", deadline: float
+) -> "list[str]":
+    """Leave out the nodes that are registered at one of these addresses."""
+    if not replaced:
+        return nodes
+    return [node for node in nodes if str(ask_master(master, "lookupNode", [node], deadline)) not in replaced]
 
 
 def _hear_any(opened: "list[sockets.socket.socket]", until: float) -> bool:
@@ -171,7 +193,13 @@ def _shake_hands(made: "sockets.socket.socket", fields: "dict[str, str]", deadli
         raise CallError(answer[at + 6 :].decode("utf-8", "replace")[:200])
 
 
-def _check_service(service: str, master: str, deadline: float) -> None:
+def _check_service(service: str, master: str, replaced: "Collection[str]", deadline: float) -> None:
+    if replaced:
+        state = ask_master(master, "getSystemState", [], deadline)
+        offers = state[2] if isinstance(state, list) and len(state) == 3 else []
+        nodes = [str(node) for name, names in offers if name == service for node in names]
+        if nodes and not _exclude_replaced(nodes, master, replaced, deadline):
+            raise CallError("service %s is still that of the instance which this one replaces" % service)
     try:
         uri = str(ask_master(master, "lookupService", [service], deadline))
     except CallError as error:

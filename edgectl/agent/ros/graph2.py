@@ -14,6 +14,8 @@ from ..link import boot, fast_json, protocol
 from ..link.fast_json import Document
 from ..measure.sockets import socket
 from ..supervise import shell, spawn, state_dir, status
+from . import participants
+from .participants import Owners
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -31,12 +33,16 @@ _VARIABLES = (
     "FASTRTPS_DEFAULT_PROFILES_FILE",
     "FASTDDS_DEFAULT_PROFILES_FILE",
 )
+# Part of the name of a helper: another number for each change of what it can be asked, for one of an edgectl
+# before an update lives on.
+_QUESTIONS = "2"
 # How long a helper that was just started may take to be there.
 CONNECT_S, _RETRY_S = 8.0, 0.05
 # So often the keeper looks for living tasks; without any twice in a row, and without a question for as long,
 # it ends the helper: a task may live between two looks, and a stop waits for the names of its nodes.
 _LOOK_S, _POLL_S, _REST_S = 10.0, 0.5, 2.0
-_NO_HELPER = "the helper for ROS 2 is not there: python3 of the set-up files may have no rclpy"
+OLD_HELPER = "the helper for ROS 2 is of another edgectl; try again in a minute"
+NO_HELPER = "the helper for ROS 2 is not there: python3 of the set-up files may have no rclpy"
 
 
 class NoHelperError(Exception):
@@ -47,7 +53,7 @@ def build_helper_name(env: "Mapping[str, str]", setup: "list[str]") -> str:
     """Build the name of the socket of the helper for this environment; another for each host of an
     inventory.
     """
-    parts = [state_dir.get_fleet(), env.get("EDGECTL_HOST", ""), *setup]
+    parts = [_QUESTIONS, state_dir.get_fleet(), env.get("EDGECTL_HOST", ""), *setup]
     parts += [env.get(name, os.environ.get(name, "")) for name in _VARIABLES]
     return "edgectl-ros2-%d-%s" % (os.geteuid(), boot.compute_sha256("\0".join(parts).encode())[:16])
 
@@ -55,14 +61,85 @@ def build_helper_name(env: "Mapping[str, str]", setup: "list[str]") -> str:
 def find_fault(
     asked: Document, env: "Mapping[str, str]", deadline: float, setup: "list[str]"
 ) -> "tuple[str, str]":
-    """Find (the first condition of ``asked`` that does not hold, nothing): the process is not known.
+    """Find (the first condition of ``asked`` that does not hold, the process of the node where it is known).
 
-    The fault is empty where all hold.
+    The fault is empty where all hold. ``env`` is that of the task: its domain, and the mark of its processes.
+    ``replaces`` in ``asked``: another instance of the task lives, and its answers do not count.
 
     Raises:
         NoHelperError: there is no helper, or none that answers.
     """
-    return ask_helper(build_helper_name(env, setup), asked, deadline, CONNECT_S), ""
+    name, process = build_helper_name(env, setup), ""
+    folder = env.get("EDGECTL_TASK_DIR")
+    if folder:
+        fault, process = _check_owners(name, asked, folder, deadline)
+        if fault:
+            return fault, process
+    if folder and asked.get("replaces") is not None:
+        fault, asked = _exclude_replaced(name, asked, folder, deadline)
+        if fault:
+            return fault, process
+    return ask_helper(name, asked, deadline, CONNECT_S), process
+
+
+def list_lingering(name: str, nodes: "list[str]", deadline: float) -> "list[str]":
+    """List those of ``nodes`` that are in the graph, and neither as living processes nor of other hosts.
+
+    Raises:
+        NoHelperError: there is no helper, or none that answers.
+    """
+    found = []
+    for node in ask_helper(name, {"present": nodes}, deadline).split():
+        owners, _ = _ask_owners(name, {"node": node}, set(), deadline)
+        if owners.gone or owners.unknown or not (owners.foreign or owners.distant):
+            found.append(node)
+    return found
+
+
+def _ask_owners(name: str, of: "dict[str, str]", pids: "set[int]", deadline: float) -> "tuple[Owners, int]":
+    """Ask who has a name: (the owners, how many nodes have it). ``pids``: the processes of the task."""
+    answer = ask_helper(name, {"ends": of}, deadline, CONNECT_S)
+    if not answer.startswith("{"):
+        raise NoHelperError(answer or OLD_HELPER)
+    seen = fast_json.loads(answer)
+    return Owners(seen, pids), int(seen["nodes"])
+
+
+def _check_owners(name: str, asked: Document, folder: str, deadline: float) -> "tuple[str, str]":
+    """Check that the node is one of the task, and but for ``ready`` no other one has its name: (fault,
+    process).
+    """
+    node = asked.get("node")
+    if not node:
+        return "", ""
+    owners, count = _ask_owners(name, {"node": node}, participants.find_pids(folder), deadline)
+    if not count:
+        return "node %s is not in the graph" % node, ""
+    if owners.others:
+        return participants.describe_foreign(node, owners), ""
+    process = str(min(owners.ours.values())) if owners.ours else ""
+    return "" if asked.get("starting") else participants.describe_twice(node, owners), process
+
+
+def _exclude_replaced(name: str, asked: Document, folder: str, deadline: float) -> "tuple[str, Document]":
+    """Leave out of a question what the instance that is replaced could answer: (fault, question)."""
+    pids = participants.find_pids(folder)
+    if asked.get("lifecycle"):
+        _, count = _ask_owners(name, {"node": asked["node"]}, pids, deadline)
+        if count > 1:
+            return "node %s is in the graph %d times, and any of them may answer" % (
+                asked["node"],
+                count,
+            ), asked
+    topic = asked.get("topic")
+    for kind, wanted in (("topic", topic and topic["name"]), ("service", asked.get("service"))):
+        owners = _ask_owners(name, {kind: wanted}, pids, deadline)[0] if wanted else None
+        if owners is not None and owners.others:
+            return "%s %s is not yet one of this instance" % (kind, wanted), asked
+        if owners is not None and kind == "topic":
+            of = participants.list_participants(owners)
+            asked = dict(asked, topic=dict(asked["topic"], of=of))
+    return "", asked
 
 
 def ask_helper(name: str, asked: Document, deadline: float, patience_s: float = 0.0) -> str:
@@ -103,7 +180,7 @@ def _connect(name: str, deadline: float) -> "socket.socket":
             pass
         made.close()
         if time.monotonic() >= deadline:
-            raise NoHelperError(_NO_HELPER)
+            raise NoHelperError(NO_HELPER)
         time.sleep(_RETRY_S)
 
 

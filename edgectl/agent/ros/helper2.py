@@ -39,32 +39,52 @@ class Graph:
         self.clients: "dict[str, Any]" = {}
         self.settled_at = time.monotonic() + _SETTLE_S
         self.asked_at = time.monotonic()
+        # The questions that are being answered.
+        self.live: "set[object]" = set()
+        # Since when which writers have been known, by what was asked.
+        self.known: "dict[str, dict[str, float]]" = {}
         executors: "Any" = importlib.import_module("rclpy.executors")
         executor = executors.SingleThreadedExecutor()
         executor.add_node(self.node)
         threading.Thread(target=executor.spin, daemon=True).start()
 
-    def find_fault(self, asked: "dict[str, Any]") -> str:
-        """Find the first condition that does not hold; empty where all do.
-
-        Where it is no such question: of ``processes``, the names of their nodes; of names, those ``present``
-        in the graph; ``idle``, the seconds since the last question.
+    def answer(self, asked: "dict[str, Any]") -> str:
+        """Answer a question: ``idle``, for how many seconds none was asked; ``list``, the graph; ``ends``,
+        the writers of one name; of ``processes``, the names of their nodes; of names, those ``present`` in
+        the graph; else the first condition that does not hold, empty where all do.
         """
         if "idle" in asked:
-            return "%.1f" % (time.monotonic() - self.asked_at)
-        self.asked_at = time.monotonic()
+            return "%.1f" % (0.0 if self.live else time.monotonic() - self.asked_at)
+        me = object()
+        self.live.add(me)
+        try:
+            return self._answer(asked)
+        finally:
+            self.asked_at = time.monotonic()
+            self.live.discard(me)
+
+    def _answer(self, asked: "dict[str, Any]") -> str:
+        if asked.get("list"):
+            return json.dumps(self.list_graph())
+        if "ends" in asked:
+            return json.dumps(self.list_ends(asked["ends"]))
         if "processes" in asked:
             return " ".join(sorted(self._list_nodes_of(asked["processes"])))
         if "present" in asked:
             return " ".join(sorted(set(asked["present"]) & self._list_nodes()))
+        return self.find_fault(asked)
+
+    def find_fault(self, asked: "dict[str, Any]") -> str:
+        """Find the first condition that does not hold; empty where all do."""
         if asked.get("node") and not self._discover(lambda: asked["node"] in self._list_nodes()):
             return "node %s is not in the graph" % asked["node"]
         if asked.get("lifecycle"):
             state = self._read_lifecycle(asked["node"])
             if state != asked["lifecycle"]:
                 return "node %s is %s, not %s" % (asked["node"], state, asked["lifecycle"])
-        if asked.get("topic") and not self._hear(asked["topic"]["name"], float(asked["topic"]["within_s"])):
-            return "no message on %s within %g s" % (asked["topic"]["name"], asked["topic"]["within_s"])
+        topic = asked.get("topic")
+        if topic and not self._hear(topic["name"], float(topic["within_s"]), topic.get("of") or []):
+            return "no message on %s within %g s" % (topic["name"], topic["within_s"])
         if asked.get("service"):
             wanted = asked["service"]
             if not self._discover(lambda: wanted in dict(self.node.get_service_names_and_types())):
@@ -73,6 +93,47 @@ class Graph:
 
     def _discover(self, condition: "Any") -> bool:
         return _wait_for(condition, max(_DISCOVERY_S, self.settled_at - time.monotonic()))
+
+    def list_ends(self, of: "dict[str, str]") -> "dict[str, Any]":
+        """List the identifiers of the writers of a ``node``, ``topic`` or ``service``, with the seconds for
+        which each has been known; ``nodes``: how many nodes of this name there are.
+        """
+        node = of.get("node")
+        self._discover(lambda: self._find_writers(of) and self._count(node) <= len(self._find_writers(of)))
+        now, gids = time.monotonic(), self._find_writers(of)
+        key = json.dumps(of)
+        self.known[key] = {gid: self.known.get(key, {}).get(gid, now) for gid in gids}
+        own = self._find_writers({"node": self.node.get_fully_qualified_name()})
+        return {
+            "pid": os.getpid(),
+            "own": own[0] if own else "",
+            "nodes": self._count(node),
+            "ends": [[gid, round(now - since, 3)] for gid, since in sorted(self.known[key].items())],
+        }
+
+    def _count(self, node: "str | None") -> int:
+        nodes = self.node.get_node_names_and_namespaces()
+        return sum(node == space.rstrip("/") + "/" + name for name, space in nodes)
+
+    def _find_writers(self, of: "dict[str, str]") -> "list[str]":
+        """Find the identifiers of writers, in hexadecimal: of a node, its one of each topic that all have."""
+        info = self.node.get_publishers_info_by_topic
+        if of.get("topic"):
+            found = info(of["topic"])
+        elif of.get("service"):
+            # Its answers are a topic, whose name DDS knows so.
+            found = info("rr%sReply" % of["service"], no_mangle=True)
+        else:
+            per_topic = [
+                [
+                    each
+                    for each in info(topic)
+                    if each.node_namespace.rstrip("/") + "/" + each.node_name == of["node"]
+                ]
+                for topic in ("/parameter_events", "/rosout")
+            ]
+            found = max(per_topic, key=len)
+        return [bytes(each.endpoint_gid).hex() for each in found]
 
     def list_graph(self) -> "dict[str, Any]":
         """List the nodes with what they publish and hear, and the ids of their DDS participants."""
@@ -130,8 +191,10 @@ class Graph:
             return "silent"
         return str(answer.result().current_state.label)
 
-    def _hear(self, topic: str, within_s: float) -> bool:
-        """Whether a message comes; of any publisher, whatever its quality of service."""
+    def _hear(self, topic: str, within_s: float, of: "list[str]") -> bool:
+        """Whether a message comes; of any publisher, whatever its quality of service, or of one whose
+        identifier begins with one of ``of``.
+        """
         if not self._discover(lambda: topic in dict(self.node.get_topic_names_and_types())):
             return False
         until = time.monotonic() + within_s + _DISCOVERY_S
@@ -139,10 +202,16 @@ class Graph:
         qos: "Any" = importlib.import_module("rclpy.qos")
         profile = qos.QoSProfile(depth=1, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
         heard = threading.Event()
+
+        def hear_one(_message: bytes, info: "Any") -> None:
+            sender = (info.get("publisher_gid") or {}).get("data")
+            if sender is None or any(bytes(sender).hex().startswith(each) for each in of):
+                heard.set()
+
         subscription = self.node.create_subscription(
             getattr(importlib.import_module(package + ".msg"), name),
             topic,
-            lambda _: heard.set(),
+            hear_one if of else lambda _: heard.set(),
             profile,
             raw=True,
         )
@@ -169,7 +238,7 @@ def _serve(graph: Graph, peer: socket.socket) -> None:
             return
         try:
             asked = json.loads(peer.recv(_MOST_BYTES).decode("utf-8"))
-            fault = json.dumps(graph.list_graph()) if asked.get("list") else graph.find_fault(asked)
+            fault = graph.answer(asked)
         except Exception as error:  # noqa: BLE001 - the answer is the only channel
             fault = "%s: %s" % (type(error).__name__, error)
         peer.sendall(b"=" + fault.encode("utf-8", "replace"))

@@ -26,6 +26,8 @@ _LOOK_S, _REMOVE_S = 2.0, 4.0
 _LOOKS = 3
 _ROS_2 = 2
 _POLL_S = 0.2
+# One question to the helper of ROS 2: it answers in milliseconds, and on a busy host in seconds.
+_ASK_S = 5.0
 
 
 def begin_record(folder: str, spec: Document, env: "Mapping[str, str]") -> bool:
@@ -179,7 +181,7 @@ def _note_discovered(folder: str, record: Document) -> None:
     stated = {name for name in map(_find_stated_name, pids) if name}
     try:
         seen = [
-            graph2.ask_helper(str(record["helper"]), asked, time.monotonic() + _LOOK_S).split()
+            graph2.ask_helper(str(record["helper"]), asked, time.monotonic() + _ASK_S).split()
             for asked in ({"processes": sorted(pids)}, {"present": sorted(stated)})
         ]
     except graph2.NoHelperError:
@@ -242,17 +244,20 @@ def remove_nodes(
 def _await_discovered(folder: str, record: Document, lease_s: float) -> Document:
     from ..ros import graph2
 
-    names, until = sorted(record["nodes"]), time.monotonic() + lease_s
-    left, began = names, time.monotonic()
-    try:
-        while True:
-            asked = {"present": names}
-            left = graph2.ask_helper(str(record["helper"]), asked, time.monotonic() + _LOOK_S).split()
-            if not left or time.monotonic() >= until:
-                break
-            time.sleep(_POLL_S)
-    except graph2.NoHelperError as error:
-        return {"removed": [], "left": [], "why": str(error)}
+    names, began = sorted(record["nodes"]), time.monotonic()
+    left, why = names, ""
+    while True:
+        try:
+            left, why = graph2.list_lingering(str(record["helper"]), names, time.monotonic() + _ASK_S), ""
+        except graph2.NoHelperError as error:
+            why = str(error)
+        if why == graph2.NO_HELPER:
+            # Nobody knows the graph any more.
+            left = []
+        if not left or time.monotonic() - began >= lease_s:
+            break
+        time.sleep(_POLL_S)
     write_nodes(folder, {"helper": record["helper"]})
-    why = "after %.0f s" % (time.monotonic() - began) if left else ""
+    if left and not why:
+        why = "after %.0f s" % (time.monotonic() - began)
     return {"removed": [], "left": left, "why": why}

@@ -49,7 +49,9 @@ class ReadyCheck:
         return False
 
     def _start(self) -> "spec_check.RunningCheck":
-        return spec_check.start_check(self._spec["ready"], self._spec, self._env, _MAX_TRY_S)
+        return spec_check.start_check(
+            spec_check.build_ready_rule(self._spec), self._spec, self._env, _MAX_TRY_S
+        )
 
     def compute_wait_s(self, now: float) -> "float | None":
         """Seconds until `poll` has something to do; None: never."""

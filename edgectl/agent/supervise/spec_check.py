@@ -25,6 +25,14 @@ def start_check(check: Document, spec: Document, env: "Mapping[str, str]", most_
     return start_question(check, spec, env, limit, shell.resolve_workdir(spec.get("workdir"), env))
 
 
+def build_ready_rule(spec: Document) -> Document:
+    """Build the ready check of a spec: only the new instance is to answer it, not one that it replaces."""
+    rule: Document = spec["ready"]
+    if not rule.get("graph"):
+        return rule
+    return dict(rule, graph=dict(rule["graph"], starting=True, replaces=spec.get("replaces")))
+
+
 def describe_fault(check: Document, result: Document) -> str:
     """Describe why a check failed: the words of the graph, or the end of a command."""
     if check.get("graph"):

@@ -104,9 +104,20 @@ def _build_gone_entry(instance: str) -> Document:
     }
 
 
-def mark_ready(request: Document) -> Document:
-    """Operation ``mark``: record the success of a ready check that ran elsewhere."""
+def mark_task(request: Document) -> Document:
+    """Operation ``mark``: record the success of a ready check that ran elsewhere, or that a successor starts
+    elsewhere for ``leaving_s``: then an instance that is not alive is left alone, and no entry is replied.
+    """
     record, alive = find_current(request["host"], request["task"])
+    leaving_s = request.get("leaving_s")
+    if leaving_s is not None:
+        if record is None or not alive or record.instance.get("instance") != request["instance"]:
+            return {}
+        # Imported on demand: every request loads this module, and few of them mark.
+        from . import successor
+
+        successor.write_leaving(record.folder, request["instance"], float(leaving_s))
+        return liveness.build_entry(record, alive)
     if record is None or not alive or record.instance.get("instance") != request["instance"]:
         raise RefusalError(
             protocol.NOT_RUNNING,

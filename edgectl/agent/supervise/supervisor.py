@@ -18,6 +18,7 @@ from .alive import AliveCheck
 from .logfile import LogWriter
 from .nodes import NodeWatch
 from .ready import ReadyCheck
+from .successor import is_leaving
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -271,7 +272,7 @@ class Supervisor:
             return
         self.alive.begin()
         fault = self.alive.poll()
-        if fault is None:
+        if fault is None or (fault and self._is_leaving()):
             return
         if fault and self.spec["alive"].get("restart"):
             self._restart_unhealthy(fault)
@@ -302,7 +303,7 @@ class Supervisor:
         left = self._end_tree(_LEFTOVERS)
         outcome = spawn.describe_exit(code)
         self.status["last_exit"] = outcome["exit_code"]
-        if self.stopping:
+        if self.stopping or (not left and self._is_leaving()):
             return self._record_status(state=protocol.STOPPED, pid=0, left=left, **outcome)
         if left:
             return self._record_status(
@@ -319,6 +320,10 @@ class Supervisor:
         if policy == "never" or (policy == "on-failure" and clean):
             return self._record_status(state=protocol.FAILED, pid=0, given_up=policy == "never", **outcome)
         return self._schedule_restart(ran_s, outcome)
+
+    def _is_leaving(self) -> bool:
+        """Whether a successor starts elsewhere: it may well have thrown this one out of the ROS graph."""
+        return is_leaving(self.folder, self.identity["instance"])
 
     def _schedule_restart(self, ran_s: float, outcome: Document) -> None:
         now = time.monotonic()
