@@ -10,6 +10,7 @@ from edgectl.dataclass import dataclass
 from edgectl.model.check import AliveRule, Check
 from edgectl.model.demand import Demand
 from edgectl.model.policy import Policy
+from edgectl.model.standby import Activation, StandbyRule, StateRule
 
 _NODE_NAME = re.compile(r"(?:^|\s)__(?:name|node):=(\S+)")
 _NODE_NAMESPACE = re.compile(r"(?:^|\s)__ns:=(\S+)")
@@ -171,6 +172,7 @@ class Task:
     ``if_nothing_fits``: what it does where no host has room, as ``Policy.best_effort`` for all tasks.
     ``downtime_cost``: utility lost per second of downtime, 0 or more; weighed once downtimes are measured.
     ``alive``: asked while the task runs, and for readiness too where ``ready`` is not stated.
+    ``standby``: other hosts keep an inactive copy of it; ``state``: what a move takes along.
     ``file``: the task file that lists it (ADR 0039); it is no part of any digest.
     """
 
@@ -201,6 +203,8 @@ class Task:
     stop: StopRule = StopRule()
     restart: RestartPolicy = RestartPolicy.ON_FAILURE
     handoff: HandoffContract = HandoffContract()
+    standby: StandbyRule | None = None
+    state: StateRule | None = None
     env: Mapping[str, str] = field(default_factory=dict)
     workdir: str | None = None
     limits: TaskLimits = TaskLimits()
@@ -213,6 +217,11 @@ class Task:
     env_command: tuple[str, ...] = ()
     spec_fields: Mapping[str, str] = field(default_factory=dict)
     file: str = ""
+
+    @property
+    def activation(self) -> Activation | None:
+        """How its instances become active; None: an instance is active from its start."""
+        return self.standby.activation if self.standby is not None else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
