@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 
 from edgectl.dataclass import dataclass
 from edgectl.errors import HostError
-from edgectl.executor import host_requests
+from edgectl.executor import host_requests, state_requests
 from edgectl.executor.dependencies import find_replacement_hold, is_replacement, list_stop_hosts
 from edgectl.model.assignment import Verdict
 from edgectl.model.check import Check, CheckLocation
@@ -67,20 +67,21 @@ class StartPhases:
     """The phases of a start, move or restart.
 
     ``needs``: waits for predecessors. ``prepare``: is the host there, is it safe; nothing is touched yet.
-    ``hold`` and ``release``: hooks of the handoff.
+    ``hold`` and ``release``: hooks of the handoff. ``carry``: its state is brought to the new host.
     ``change``: stop, start and ready in the order of the handoff.
     """
 
     needs: PlannedPhases
     prepare: PlannedPhases
     hold: PlannedPhases = ()
+    carry: PlannedPhases = ()
     change: PlannedPhases
     release: PlannedPhases = ()
 
     @property
     def in_order(self) -> PlannedPhases:
         """All phases as they are performed where none fails."""
-        return (*self.needs, *self.prepare, *self.hold, *self.change, *self.release)
+        return (*self.needs, *self.prepare, *self.hold, *self.carry, *self.change, *self.release)
 
 
 def build_stop_phases(step: Step, inventory: Inventory, tasks: Tasks) -> PlannedPhases:
@@ -107,7 +108,7 @@ def build_adopt_phases(step: Step, inventory: Inventory, tasks: Tasks) -> Planne
     task = tasks.tasks.get(step.task)
     if step.action is not Action.ADOPT or task is None:
         return ()
-    host = _get_host(inventory, step.decision.host or "")
+    host = get_host(inventory, step.decision.host or "")
     body = host_requests.build_takeover_request(task, host, inventory.hosts)
     request = PlannedRequest(host=host, body=body)
     return (PlannedPhase(phase=Phase.ADOPT, task=task.name, requests=(request,)),)
@@ -132,12 +133,18 @@ def build_start_phases(
         hold = build_hook_phases(Phase.HOLD, task, find_replacement_hold(task), new, inventory)
         return StartPhases(needs=waits, prepare=prepare, hold=hold, change=start, release=release)
     old = old or new
-    stop = build_stop_phase(task.name, task, old, inventory, instance=step.instances.get(old))
+    instance = step.instances.get(old)
+    carry: PlannedPhases = ()
+    if old != new and task.state is not None:
+        carry = build_carry_phases(task, old, new, inventory, instance=instance)
+        start = build_run_phases(task, new, inventory, carried=True)
+    stop = build_stop_phase(task.name, task, old, inventory, instance=instance, carried=bool(carry))
     start_first = old != new and task.handoff.order is HandoffOrder.START_FIRST
     return StartPhases(
         needs=waits,
         prepare=(*prepare, *_build_safe_phases(task, old, inventory)),
         hold=build_hook_phases(Phase.HOLD, task, task.handoff.hold, old, inventory),
+        carry=carry,
         change=(*start, stop) if start_first else (stop, *start),
         release=release,
     )
@@ -145,7 +152,7 @@ def build_start_phases(
 
 def build_reach_phase(task: str, host_name: str, inventory: Inventory) -> PlannedPhase:
     """Make sure that a host answers before anything is done for its sake."""
-    host = _get_host(inventory, host_name)
+    host = get_host(inventory, host_name)
     request = PlannedRequest(host=host, body=host_requests.build_status_request(host))
     return PlannedPhase(phase=Phase.REACH, task=task, requests=(request,))
 
@@ -158,14 +165,17 @@ def build_stop_phase(
     *,
     instance: str | None,
     lease_s: float = 0.0,
+    carried: bool = False,
 ) -> PlannedPhase:
     """Stop a task on a host and have it proven gone; ``task`` is None where it left the files.
 
-    ``lease_s``: how long a graph of ROS 2 is asked until it has forgotten the nodes.
+    ``lease_s``: how long a graph of ROS 2 is asked until it has forgotten the nodes. ``carried``: the state
+    that was saved there is kept.
     """
-    host = _get_host(inventory, host_name)
+    host = get_host(inventory, host_name)
     lease_s = lease_s if host.ros is not None and host.ros.version == 2 else 0.0
     body = host_requests.build_stop_request(name, host, task=task, instance=instance, lease_s=lease_s)
+    body = {**body, "keep_state": True} if carried else body
     grace = task.stop.grace if task else _UNKNOWN_GRACE_S
     timeout_s = grace + lease_s + (_GRAPH_S if host.ros is not None else 0.0)
     return PlannedPhase(
@@ -174,15 +184,53 @@ def build_stop_phase(
 
 
 def build_run_phases(
-    task: Task, host_name: str, inventory: Inventory, *, phase: Phase = Phase.START
+    task: Task, host_name: str, inventory: Inventory, *, phase: Phase = Phase.START, carried: bool = False
 ) -> PlannedPhases:
     """Start a task on a host and wait until it is ready by its own check (up for its time, where it has
-    none).
+    none). ``carried``: the state that is kept there is loaded in between.
     """
-    host = _get_host(inventory, host_name)
+    host = get_host(inventory, host_name)
     body = host_requests.build_start_request(task, host, inventory.hosts)
+    body = {**body, "keep_state": True} if carried else body
     start = PlannedPhase(phase=phase, task=task.name, requests=(PlannedRequest(host=host, body=body),))
-    return start, _build_ready_phase(task, host, inventory)
+    load = build_load_phases(task, host_name, inventory, repeat=True) if carried else ()
+    return start, *load, _build_ready_phase(task, host, inventory)
+
+
+def build_carry_phases(
+    task: Task, old: str, new: str, inventory: Inventory, *, instance: str | None = None
+) -> PlannedPhases:
+    """Save the state of ``instance`` (None: the living one) on ``old``, and bring it to ``new``.
+
+    Nothing for a task without state.
+    """
+    if task.state is None:
+        return ()
+    source, target, hosts = get_host(inventory, old), get_host(inventory, new), inventory.hosts
+    seconds = state_requests.get_save(task.state).timeout
+    save = state_requests.build_save_request(task, task.state, source, hosts, instance)
+    pieces = (
+        PlannedRequest(host=target, body=state_requests.build_write_request(task.name, target)),
+        PlannedRequest(host=source, body=state_requests.build_read_request(task.name, source)),
+    )
+    request = PlannedRequest(host=source, body=save, timeout_s=seconds)
+    return (
+        PlannedPhase(phase=Phase.SAVE, task=task.name, requests=(request,)),
+        PlannedPhase(phase=Phase.TRANSFER, task=task.name, requests=pieces),
+    )
+
+
+def build_load_phases(task: Task, host_name: str, inventory: Inventory, *, repeat: bool) -> PlannedPhases:
+    """Give the state to the instance that was started last; nothing for a task without state.
+
+    ``repeat``: it was just started and may not take it yet, so ``load`` is repeated until its timeout.
+    """
+    if task.state is None:
+        return ()
+    host, seconds = get_host(inventory, host_name), state_requests.get_load(task.state).timeout
+    body = state_requests.build_load_request(task, task.state, host, inventory.hosts, repeat=repeat)
+    request = PlannedRequest(host=host, body=body, timeout_s=seconds)
+    return (PlannedPhase(phase=Phase.LOAD, task=task.name, requests=(request,)),)
 
 
 def _build_ready_phase(task: Task, host: Host, inventory: Inventory) -> PlannedPhase:
@@ -317,13 +365,13 @@ def _build_need_phase(need: Need, task: Task, step: Step, inventory: Inventory, 
 def _get_check_host(task: Task, rule: Check, host_name: str, inventory: Inventory) -> Host:
     if rule.on is CheckLocation.ROBOT:
         return _get_check_robot(task, inventory)
-    return _get_host(inventory, host_name)
+    return get_host(inventory, host_name)
 
 
 def _get_check_robot(task: Task, inventory: Inventory) -> Host:
     if not task.robots:
         raise HostError(f"{task.name} has no robot on which its check could run")
-    robot = _get_host(inventory, task.robots[0])
+    robot = get_host(inventory, task.robots[0])
     if not robot.probe:
         raise HostError(
             f"the check of {task.name} needs {robot.name}, which is never contacted (probe: false)",
@@ -332,7 +380,12 @@ def _get_check_robot(task: Task, inventory: Inventory) -> Host:
     return robot
 
 
-def _get_host(inventory: Inventory, name: str) -> Host:
+def get_host(inventory: Inventory, name: str) -> Host:
+    """The host of this name.
+
+    Raises:
+        HostError: it left the inventory.
+    """
     host = inventory.hosts.get(name)
     if host is None:
         raise HostError(

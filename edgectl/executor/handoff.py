@@ -1,7 +1,8 @@
 """Moves, restarts and replacements of a task: one unit, in the order that its handoff contract states.
 
-stop-first: safe? -> hold -> stop old, verified gone -> start new -> ready -> release.
-start-first: safe? -> hold -> start new -> ready -> stop old -> release.
+stop-first: safe? -> hold -> [save, transfer] -> stop old, verified gone -> start new -> [load] -> ready ->
+release.
+start-first: safe? -> hold -> [save, transfer] -> start new -> [load] -> ready -> stop old -> release.
 replacement of an instance that is gone with its unreachable host: hold -> start new -> ready -> release.
 
 What ends a handoff (taking the new instance away, putting the old one back, release) asks a host that was
@@ -23,6 +24,7 @@ from edgectl.executor.action_phases import (
 )
 from edgectl.executor.concurrent_change import ConcurrentChangeError
 from edgectl.executor.phases import perform_phase, perform_phases, resolve_variables
+from edgectl.executor.state_transfer import drop_state
 from edgectl.executor.step_run import StepRun
 from edgectl.model.check import CheckLocation
 from edgectl.model.result import ActionResult, Outcome, Phase
@@ -56,7 +58,7 @@ def move_task(act: StepRun, task: Task, planned: StartPhases) -> ActionResult:
     except HostError as error:
         return act.end(Outcome.DEFERRED, located=old, error=error)
     try:
-        _run_hold_hook(act, planned, old)
+        _prepare_swap(act, planned, old)
         downtime = _swap_instances(act, task, planned, old, new, variables)
     except _HandoffError as failed:
         return _end_failed_handoff(act, task, failed)
@@ -85,9 +87,10 @@ def replace_task(act: StepRun, task: Task, planned: StartPhases) -> ActionResult
     return _release_and_end(act, planned, host, None)
 
 
-def _run_hold_hook(act: StepRun, planned: StartPhases, old: str) -> None:
+def _prepare_swap(act: StepRun, planned: StartPhases, old: str) -> None:
+    """Run the hold hook and bring the state to the new host, while the old instance runs."""
     try:
-        perform_phases(act, planned.hold)
+        perform_phases(act, (*planned.hold, *planned.carry))
     except HostError as error:
         raise _HandoffError(error, old, steers=True) from error
 
@@ -98,7 +101,9 @@ def _release_and_end(act: StepRun, planned: StartPhases, host: str, downtime: fl
     try:
         perform_phases(act, planned.release)
     except HostError as error:
+        drop_state(act)
         return act.end(Outcome.FAILED, located=host, downtime_s=downtime, error=error)
+    drop_state(act)
     return act.end(Outcome.DONE, located=host, downtime_s=downtime)
 
 
@@ -157,6 +162,7 @@ def _end_failed_handoff(act: StepRun, task: Task, failed: _HandoffError) -> Acti
             error = _build_still_holding_error(act, task, error)
     except HostError as another:
         error = HostError(f"{error.message}; {another.message}", hint=error.hint)
+    drop_state(act)
     outcome = Outcome.DEFERRED if isinstance(failed.error, ConcurrentChangeError) else Outcome.FAILED
     return act.end(outcome, located=failed.located, downtime_s=failed.downtime_s, error=error)
 
@@ -203,15 +209,31 @@ def _restore_old_instance(
         return _HandoffError(
             HostError(message, hint=f"check {new}, then apply again", host=new), new, steers=False
         )
-    sent = False
+    sent, carried = False, act.carried is not None
     try:
-        restore = build_run_phases(task, old, act.run.inventory, phase=Phase.RESTORE)
+        restore = build_run_phases(task, old, act.run.inventory, phase=Phase.RESTORE, carried=carried)
         variables = resolve_variables(act, task, old)
         sent = True
-        perform_phases(act, restore, variables)
+        lost = _perform_restore(act, restore, variables)
     except HostError as error:
         message = f"{cause.message}; could not be restored on {old} either: {error.message}"
         there = old if sent and not isinstance(error, RefusedError) else None
         return _HandoffError(HostError(message, hint=error.hint, host=old), there, steers=False)
-    restored = HostError(f"{cause.message}; restored on {old}", hint=cause.hint, host=new)
+    restored = HostError(f"{cause.message}; restored on {old}{lost}", hint=cause.hint, host=new)
     return _HandoffError(restored, old, steers=True, downtime_s=time.monotonic() - began)
+
+
+def _perform_restore(act: StepRun, restore: tuple[PlannedPhase, ...], variables: dict[str, str]) -> str:
+    """Start the old instance again and load its state; it serves also where it does not take that.
+
+    Returns how the message goes on then.
+    """
+    lost = ""
+    for phase in restore:
+        try:
+            perform_phase(act, phase, variables)
+        except HostError as error:
+            if phase.phase is not Phase.LOAD:
+                raise
+            lost = f", without its state: {error.message}"
+    return lost

@@ -56,6 +56,7 @@ def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
         "generation": NO_GENERATION,
         "manager": NO_MANAGER,
         "spec": spec,
+        "keep_state": False,
     }
 
 
@@ -75,7 +76,8 @@ def build_takeover_request(task: Task, host: Host, hosts: Hosts) -> Request:
     """Give the living instance of ``task`` on ``host``, whose supervisor was lost, a new one; completed as a
     start request is.
     """
-    return {**build_start_request(task, host, hosts), "op": protocol.OP_TAKE_OVER}
+    request = {**build_start_request(task, host, hosts), "op": protocol.OP_TAKE_OVER}
+    return {key: request[key] for key in request if key != "keep_state"}
 
 
 def fill_start_request(
@@ -115,6 +117,7 @@ def build_stop_request(
         "generation": NO_GENERATION,
         "stop": rule,
         "lease_s": lease_s,
+        "keep_state": False,
     }
 
 

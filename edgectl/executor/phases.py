@@ -11,6 +11,7 @@ from edgectl.executor.action_phases import WAIT_PIECE_S, PlannedPhase, PlannedPh
 from edgectl.executor.concurrent_change import check_gone_everywhere
 from edgectl.executor.host_requests import Request
 from edgectl.executor.secrets import resolve_environment
+from edgectl.executor.state_transfer import perform_state_phase
 from edgectl.executor.step_run import RunContext, StepRun
 from edgectl.model.check import CheckLocation
 from edgectl.model.result import Phase
@@ -49,10 +50,8 @@ def perform_phase(act: StepRun, planned: PlannedPhase, variables: Mapping[str, s
     match planned.phase:
         case Phase.REACH:
             _send(act.run, planned.requests[0])
-        case Phase.NEEDS if planned.timeout_s:
-            _wait_for_predecessor(act.run, planned)
         case Phase.NEEDS:
-            _note_run_of_need(act, planned)
+            _perform_need(act, planned)
         case Phase.SAFE:
             _wait_until_safe(act, planned)
         case Phase.HOLD | Phase.RELEASE:
@@ -65,6 +64,8 @@ def perform_phase(act: StepRun, planned: PlannedPhase, variables: Mapping[str, s
             _adopt_task(act, planned, variables)
         case Phase.READY:
             _wait_until_ready(act, planned)
+        case _:
+            perform_state_phase(act, planned)
 
 
 def resolve_variables(act: StepRun, task: Task, host_name: str) -> dict[str, str]:
@@ -257,6 +258,13 @@ def _describe_hook_failure(answer: Request) -> str:
     return (
         "timed out" if answer.get("timed_out") else f"exit code {clean_text(answer.get('exit'), _MAX_DETAIL)}"
     )
+
+
+def _perform_need(act: StepRun, planned: PlannedPhase) -> None:
+    if planned.timeout_s:
+        _wait_for_predecessor(act.run, planned)
+    else:
+        _note_run_of_need(act, planned)
 
 
 def _wait_for_predecessor(run: RunContext, planned: PlannedPhase) -> None:

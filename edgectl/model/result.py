@@ -27,6 +27,9 @@ class Phase(StrEnum):
     NEEDS = "needs"
     SAFE = "safe"
     HOLD = "hold"
+    SAVE = "save"
+    TRANSFER = "transfer"
+    LOAD = "load"
     STOP = "stop"
     START = "start"
     ADOPT = "adopt"
@@ -47,12 +50,30 @@ class PhaseResult:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CarriedState:
+    """The state that a move took along: its size and SHA-256, the bytes that its transfer took, how long each
+    part took in seconds, and its age when it was loaded.
+
+    ``host``: where it was loaded last; empty where it was not.
+    """
+
+    size_bytes: int
+    sha256: str
+    save_s: float
+    sent_bytes: int = 0
+    transfer_s: float = 0.0
+    load_s: float = 0.0
+    age_s: float = 0.0
+    host: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ActionResult:
     """One step of the plan as it went.
 
     ``downtime_s``: stop to ready of a move or restart; None where there was none. ``host`` and
     ``previous_host`` are the plan's; ``located`` is where the task stands after the action (None: nowhere).
-    ``instance``: the start that was sent last; empty where none was.
+    ``instance``: the start that was sent last; empty where none was. ``state``: what the move saved.
     """
 
     task: str
@@ -66,6 +87,7 @@ class ActionResult:
     hint: str = ""
     located: str | None = None
     instance: str = ""
+    state: CarriedState | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

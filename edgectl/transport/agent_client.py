@@ -95,8 +95,12 @@ def _build_packet(request: Mapping[str, object], marker: str, timeout: float, ag
     return _read_boot_programs() + head.encode() + body + agent
 
 
-def call_agent(session: Session, request: Mapping[str, object], *, timeout: float) -> dict[str, object]:
+def call_agent(
+    session: Session, request: Mapping[str, object], *, timeout: float, data: bytes = b""
+) -> dict[str, object]:
     """Carry out ``request`` on the host; the agent is sent only where the host does not have it yet.
+
+    ``data``: bytes that the operation reads after its request.
 
     Raises:
         RefusedError: the agent declined.
@@ -106,9 +110,9 @@ def call_agent(session: Session, request: Mapping[str, object], *, timeout: floa
             then.
         ConnectError: the connection was lost.
     """
-    reply = _send_request(session, request, timeout, b"")
+    reply = _send_request(session, request, timeout, b"", data)
     if reply.get("missing") is True:
-        reply = _send_request(session, request, timeout, build_agent_zipapp())
+        reply = _send_request(session, request, timeout, build_agent_zipapp(), data)
     return _check_reply(reply)
 
 
@@ -125,12 +129,12 @@ def ask_host(
 
 
 def _send_request(
-    session: Session, request: Mapping[str, object], timeout: float, agent: bytes
+    session: Session, request: Mapping[str, object], timeout: float, agent: bytes, data: bytes
 ) -> dict[str, object]:
     marker, began = secrets.token_hex(16), time.monotonic()
     answer = session.run(
         build_agent_command(session.python),
-        _build_packet(request, marker, timeout, agent),
+        _build_packet(request, marker, timeout, agent) + data,
         timeout=timeout,
         limit=protocol.MAX_REPLY_BYTES,
     )
@@ -268,8 +272,21 @@ def stream_agent_log(
         {"op": protocol.OP_STATUS, **{key: request[key] for key in ("fleet", "host", "task")}},
         timeout=max(idle_timeout, 5.0),
     )
+    yield from stream_agent_chunks(session, request, idle_timeout=idle_timeout)
+
+
+def stream_agent_chunks(
+    session: Session, request: Mapping[str, object], *, idle_timeout: float, timeout: float = 0.0
+) -> Iterator[bytes]:
+    """Carry out a request whose reply is a stream, on a host that has the agent: its chunks as they come.
+
+    ``timeout``: seconds after which the host gives up; 0 for never.
+
+    Raises:
+        HostError: as `stream_agent_log`.
+    """
     marker = secrets.token_hex(16)
-    packet = _build_packet(request, marker, 0.0, b"")
+    packet = _build_packet(request, marker, timeout, b"")
     reader = _ChunkReader(marker)
     for data in session.stream(build_agent_command(session.python), packet, idle_timeout=idle_timeout):
         yield from reader.feed(data)

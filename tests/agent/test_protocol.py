@@ -12,9 +12,11 @@ from edgectl.executor import host_requests as requests
 from edgectl.gateway.probe_request import build_probe_request
 from edgectl.model.check import Check
 from edgectl.model.snapshot import TaskState
+from edgectl.model.standby import StateRule
 from tests.agent.conftest import AgentHost
 from tests.builders import a_robot, a_task, an_edge, an_inventory, some_tasks
 
+STATE = StateRule(save=Check(command="true"), load=Check(command="true"))
 OPERATIONS = sorted(value for name, value in vars(protocol).items() if name.startswith("OP_"))
 NAMES = st.text("aZ09_.:/-\0\n \u00e9", max_size=5) | st.integers(60, 66).map(lambda length: "a" * length)
 
@@ -39,7 +41,7 @@ def test_every_reported_state_is_one_of_the_model() -> None:
     assert {state for state in TaskState if state.alive} == set(protocol.ALIVE_STATES)
 
 
-@pytest.mark.parametrize("operation", [name for name in OPERATIONS if name != protocol.OP_FOLLOW])
+@pytest.mark.parametrize("operation", sorted({*OPERATIONS} - {protocol.OP_FOLLOW, protocol.OP_READ_STATE}))
 def test_every_operation_is_found(operation: str) -> None:
     assert callable(main._find_operation(operation))
 

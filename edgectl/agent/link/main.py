@@ -43,6 +43,10 @@ def serve_request(request: bytes, channel: "Channel", bases: "list[str]") -> Non
             from ..supervise.logs import follow_log
 
             return follow_log(document, channel)
+        if document["op"] == protocol.OP_READ_STATE:
+            from ..supervise.state_spool import stream_state
+
+            return stream_state(document, channel)
         operation = _find_operation(document["op"])
         if _needs_lease(document):
             from ..supervise.lease import perform_within_lease
@@ -121,6 +125,14 @@ def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C90
         from ..supervise.lease import serve_lease as operation
     elif name == protocol.OP_LOGS:
         from ..supervise.logs import read_logs as operation
+    elif name == protocol.OP_SAVE_STATE:
+        from ..supervise.state_commands import save_state as operation
+    elif name == protocol.OP_WRITE_STATE:
+        from ..supervise.state_spool import write_state as operation
+    elif name == protocol.OP_LOAD_STATE:
+        from ..supervise.state_commands import load_state as operation
+    elif name == protocol.OP_DROP_STATE:
+        from ..supervise.state_spool import drop_state as operation
     elif name == protocol.OP_FETCH:
         from .fetch import read_file_piece as operation
     elif name == protocol.OP_SINK:

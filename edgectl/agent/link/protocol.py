@@ -11,11 +11,13 @@ OP_ADOPT = "adopt"
 OP_CHECK = "check"
 OP_COUNTERS = "counters"
 OP_DOCTOR = "doctor"
+OP_DROP_STATE = "drop-state"
 OP_FETCH = "fetch"
 OP_FOLLOW = "follow"
 OP_FORGET = "forget"
 OP_GRAPH = "graph"
 OP_LEASE = "lease"
+OP_LOAD_STATE = "load-state"
 OP_LOGS = "logs"
 OP_MARK = "mark"
 OP_PROBE = "probe"
@@ -23,7 +25,9 @@ OP_PROFILER_RUN = "profiler-run"
 OP_PROFILER_START = "profiler-start"
 OP_PROFILER_STATUS = "profiler-status"
 OP_PROFILER_STOP = "profiler-stop"
+OP_READ_STATE = "read-state"
 OP_SAMPLE_LINK = "sample-link"
+OP_SAVE_STATE = "save-state"
 OP_SEND = "send"
 OP_SINK = "sink"
 OP_START = "start"
@@ -32,10 +36,12 @@ OP_STOP = "stop"
 OP_SUPERVISE = "supervise"
 OP_TAKE_OVER = "takeover"
 OP_WAIT = "wait"
+OP_WRITE_STATE = "write-state"
 
 # Operations that change tasks or robots. While a manager holds the fleet they carry its ``lease``
 # (SIGNATURE_KEYS); a probe may carry a claim of it (CLAIM_KEYS).
-CHANGING_OPS = (OP_START, OP_STOP, OP_MARK, OP_CHECK, OP_TAKE_OVER, OP_FORGET)
+STATE_OPS = (OP_SAVE_STATE, OP_WRITE_STATE, OP_LOAD_STATE, OP_DROP_STATE)
+CHANGING_OPS = (OP_START, OP_STOP, OP_MARK, OP_CHECK, OP_TAKE_OVER, OP_FORGET, *STATE_OPS)
 SIGNATURE_KEYS = ("holder", "session", "epoch")
 # Name of the record of the lease in the directory of the fleet.
 LEASE_FILE = "lease"
@@ -48,25 +54,56 @@ REQUEST_KEYS = {
     OP_CHECK: ("command", "graph", "prelude", "ros", "env", "timeout_s"),
     OP_COUNTERS: ("action", "links"),
     OP_DOCTOR: ("links", "prelude", "ros", "packages", "env", "timeout_s"),
+    OP_DROP_STATE: ("task", "generation"),
     OP_FETCH: ("task", "workdir", "file", "most", "offset"),
     OP_FOLLOW: ("task", "tail"),
     OP_FORGET: ("task", "master", "nodes"),
     OP_GRAPH: ("version", "ros", "env", "timeout_s"),
     OP_LEASE: ("action", "lease", "end_watch"),
+    OP_LOAD_STATE: (
+        "task",
+        "instance",
+        "generation",
+        "command",
+        "topic",
+        "prelude",
+        "ros",
+        "env",
+        "workdir",
+        "timeout_s",
+        "size",
+        "sha256",
+        "repeat",
+    ),
     OP_LOGS: ("task", "tail"),
     OP_MARK: ("task", "instance", "ready"),
     OP_PROBE: ("window_s", "links", "peers", "detect", "checks", "former", "manager"),
     OP_PROFILER_START: ("every_s", "ttl_s", "links", "peers", "detect"),
     OP_PROFILER_STATUS: ("links", "peers", "detect"),
     OP_PROFILER_STOP: (),
+    OP_READ_STATE: ("task", "offset"),
     OP_SAMPLE_LINK: ("address", "port", "token", "seconds", "rate_bytes_per_s"),
+    OP_SAVE_STATE: (
+        "task",
+        "instance",
+        "generation",
+        "command",
+        "topic",
+        "prelude",
+        "ros",
+        "env",
+        "workdir",
+        "timeout_s",
+        "max_bytes",
+    ),
     OP_SEND: ("address", "port", "token", "seconds"),
     OP_SINK: ("seconds",),
-    OP_START: ("task", "instance", "generation", "manager", "spec"),
+    OP_START: ("task", "instance", "generation", "manager", "spec", "keep_state"),
     OP_TAKE_OVER: ("task", "instance", "generation", "manager", "spec"),
     OP_STATUS: ("task",),
-    OP_STOP: ("task", "instance", "generation", "stop", "lease_s"),
+    OP_STOP: ("task", "instance", "generation", "stop", "lease_s", "keep_state"),
     OP_WAIT: ("task", "instance", "timeout_s", "up_s"),
+    OP_WRITE_STATE: ("task", "generation", "total", "offset", "size", "packed", "bytes"),
 }
 # Keys of ``spec`` in OP_START.
 SPEC_KEYS = (
@@ -203,6 +240,11 @@ STALLED = "stalled"
 
 # Obstacle of a disk whose state directory is something else; the manager derives its hint from it.
 NO_DIRECTORY = "the path exists and is not a directory"
+
+# The state of a task travels in pieces of so many bytes; the first byte of a chunk of OP_READ_STATE says
+# whether the rest of it is compressed. OP_WRITE_STATE has its ``bytes`` after the request.
+STATE_PIECE_BYTES = 1 << 20
+STATE_PLAIN, STATE_PACKED = b"r", b"z"
 
 # Size of a reply with the noise of a login shell around it.
 MAX_REPLY_BYTES = 1 << 20

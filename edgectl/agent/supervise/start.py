@@ -41,6 +41,8 @@ def start_task(request: Document) -> Document:
         return _build_running_reply(_wait_for_record(folder))
     try:
         status.check_generation(host, task, int(request["generation"]))
+        if not request.get("keep_state"):
+            state_dir.drop_spools(host, task)
         return _launch_task(folder, lock, request, task_scope)
     finally:
         os.close(lock)

@@ -32,6 +32,8 @@ def stop_task(request: Document) -> Document:
     host, task = state_dir.check_name(request["host"]), state_dir.check_name(request["task"])
     if request.get("generation") is not None:
         status.check_generation(host, task, int(request["generation"]))
+    if not request.get("keep_state"):
+        state_dir.drop_spools(host, task)
     alive = [record for record in liveness.read_instances(host, task) if liveness.is_alive(record)]
     wanted = [
         record for record in alive if request.get("instance") in (None, record.instance.get("instance"))
