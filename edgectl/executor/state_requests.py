@@ -34,9 +34,18 @@ def build_save_request(
 
 
 def build_load_request(task: Task, rule: StateRule, host: Host, hosts: Hosts, *, repeat: bool) -> Request:
-    """Give the state that was sent to ``host`` to the instance there; ``repeat``: until the timeout."""
+    """Give the state that was sent to ``host`` to the instance there.
+
+    ``repeat``: until the timeout; a topic is offered for as long anyway.
+    """
     command = _build_command(protocol.OP_LOAD_STATE, task, rule, get_load(rule), host, hosts)
-    return {**command, "instance": NO_INSTANCE, "size": 0, "sha256": _NO_HASH, "repeat": repeat}
+    return {
+        **command,
+        "instance": NO_INSTANCE,
+        "size": 0,
+        "sha256": _NO_HASH,
+        "repeat": repeat and rule.topic is None,
+    }
 
 
 def build_read_request(name: str, host: Host) -> Request:

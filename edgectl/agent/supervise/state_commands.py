@@ -6,6 +6,7 @@ Neither the state nor more than the end of a command's error output is ever part
 import hashlib
 import os
 import select
+import sys
 import time
 
 from ..link import protocol
@@ -17,11 +18,13 @@ from .liveness import InstanceRecord
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import Callable
+    from typing import Any, Callable
 
 _BLOCK = 1 << 18
 _POLL_S, _FIRST_POLL_S, _RETRY_S = 0.02, 0.001, 0.3
 _KEPT_BYTES, _MOST_WORDS = 2048, 300
+# By so much the program for a topic ends before the request.
+_TOPIC_MARGIN_S = 2.0
 _KILL_SIGNAL = 9
 
 
@@ -213,9 +216,26 @@ def _start_command(request: Document, record: InstanceRecord, stdin: "int | None
     env = shell.build_environment(filled.get("env"))
     env["EDGECTL_PID"] = str(record.status.get("pid", 0))
     env["EDGECTL_INSTANCE"] = str(record.instance.get("instance", ""))
-    setup = list_setup_files(filled)
-    argv = shell.build_argv(str(filled["command"]), filled.get("prelude") or "", setup)
-    return StateCommand(argv, env, shell.resolve_workdir(filled.get("workdir"), env), stdin)
+    setup, command = list_setup_files(filled), str(filled["command"])
+    folder = shell.resolve_workdir(filled.get("workdir"), env)
+    if filled.get("topic"):
+        env.update(_build_topic_variables(filled, record.folder))
+        command, folder = 'exec python3 -c "$EDGECTL_STATE_PROGRAM" %s', "/"
+        command %= "save" if stdin is None else "load"
+    return StateCommand(shell.build_argv(command, filled.get("prelude") or "", setup), env, folder, stdin)
+
+
+def _build_topic_variables(request: Document, folder: str) -> "dict[str, str]":
+    """Build what the program for a topic needs; it is run by the Python that the task has."""
+    loader: "Any" = sys.modules[__name__].__loader__
+    topic = request["topic"]
+    program = loader.read_sources()["edgectl_agent/ros/latched%d.py" % topic["version"]]
+    return {
+        "EDGECTL_STATE_PROGRAM": program.decode("utf-8"),
+        "EDGECTL_STATE_TOPIC": str(topic["name"]),
+        "EDGECTL_STATE_OF": folder,
+        "EDGECTL_STATE_SECONDS": str(max(1.0, float(request["timeout_s"]) - _TOPIC_MARGIN_S)),
+    }
 
 
 def _check_exit(request: Document, command: StateCommand, code: "int | None", word: str) -> None:
