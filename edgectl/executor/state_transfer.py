@@ -113,7 +113,7 @@ def _save_state(act: StepRun, planned: PlannedPhase) -> None:
             raise HostError(f"the state of {act.name} has no valid size", host=host.name)
         if not isinstance(digest, str) or _SHA256.fullmatch(digest) is None:
             raise HostError(f"the state of {act.name} has no valid hash", host=host.name)
-        remarks.append(format_bytes(size))
+        remarks.append(f"state of {format_bytes(size)}")
     act.carried = CarriedState(size_bytes=size, sha256=digest, save_s=time.monotonic() - began)
 
 
@@ -126,7 +126,7 @@ def _transfer_state(act: StepRun, planned: PlannedPhase) -> None:
     with act.phase(Phase.TRANSFER, host.name) as remarks:
         _ask(act, write, generation=act.generation, total=carried.size_bytes)
         sent = _send_pieces(act, write, _read_pieces(act, read, carried.size_bytes, began + seconds))
-        remarks.append(f"{format_bytes(sent)} sent")
+        remarks.append(f"sent as {format_bytes(sent)}")
     act.carried = dataclasses.replace(carried, sent_bytes=sent, transfer_s=time.monotonic() - began)
 
 
@@ -143,7 +143,7 @@ def _load_state(act: StepRun, planned: PlannedPhase) -> None:
             sha256=carried.sha256,
         )
         ended = time.monotonic()
-        remarks.append(f"{format_duration(ended - act.saved_at)} old")
+        remarks.append(f"state {format_duration(ended - act.saved_at)} old")
     act.carried = dataclasses.replace(
         carried, load_s=ended - began, age_s=ended - act.saved_at, host=planned.host.name
     )

@@ -132,6 +132,7 @@ def _list_spec_fields(stated: Task) -> list[Field]:
                     handoff.order.value,
                     *hooks,
                     *([f"within {format_duration(handoff.timeout)}"] if hooks else []),
+                    *_list_state_parts(stated),
                 ]
             ),
         ),
@@ -256,9 +257,20 @@ def _render_usage_rows(sample: TaskSample, demand: Amounts) -> list[Row]:
     return [head("resource", "used", "demand", "excess"), *rows] if sample.state.alive else []
 
 
+def _list_state_parts(stated: Task) -> list[str]:
+    """What takes the state of a task along in a move."""
+    rule = stated.state
+    if rule is None:
+        return []
+    parts = {"save": _format_check(rule.save), "load": _format_check(rule.load), "state of": rule.topic}
+    return [f"{what} {text}" for what, text in parts.items() if text]
+
+
 def _encode_task_spec(stated: Task) -> Document:
     handoff = stated.handoff
     hooks = {"safe_when": handoff.safe_when, "hold": handoff.hold, "release": handoff.release}
+    if stated.state is not None:
+        hooks |= {"save": stated.state.save, "load": stated.state.load}
     return {
         "template": stated.template,
         "task_kind": stated.kind.value,
@@ -274,6 +286,7 @@ def _encode_task_spec(stated: Task) -> Document:
         "handoff": {
             "order": handoff.order.value,
             **{key: check.command for key, check in hooks.items() if check is not None},
+            **({} if stated.state is None or stated.state.topic is None else {"topic": stated.state.topic}),
         },
         "on_unreachable": stated.on_unreachable.value,
         "env": {key: str(text) for key, text in stated.env.items()},

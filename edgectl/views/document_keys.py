@@ -31,7 +31,8 @@ _TASK = (*_RUN, "contacted_at", "in_files", "task_kind", "robot_names", "needs",
 _LINK = ("edge", "robot", "taken_at", *_LINK_SAMPLE)
 _EVENT = ("id", "at", "kind", "host", "task", "message")
 _ACTION = (
-    "task", "action", "outcome", "host", "previous_host", "located", "downtime_s", "phases", "error", "hint",
+    "task", "action", "outcome", "host", "previous_host", "located", "downtime_s", "carried", "phases",
+    "error", "hint",
 )  # fmt: skip
 _RESULT = ("revision", "duration_s", "done", "interrupted", "actions")
 _REVISION = ("revision", "started_at", "user", "verb", "outcome", "duration_s", "counts")
@@ -103,6 +104,7 @@ INNER_KEYS: KeysByName = {
         for resource in RESOURCES
     },
     "actions": _ACTION,
+    "carried": ("host", "size_bytes", "sent_bytes", "sha256", "save_s", "transfer_s", "load_s", "age_s"),
     "contributions": ("term", "weight", "here", "there", "adds"),
     "decision": ("action", "reason", "host", "previous_host", "total", "lead"),
     "other_tasks": _OTHER_TASK,
@@ -112,7 +114,7 @@ INNER_KEYS: KeysByName = {
     "events": _EVENT,
     "flips": ("change", "term", "host", "robot", "amount", "unit", "size", "winner", "moves_first"),
     "moves_first": ("task", "host", "amount"),
-    "handoff": ("order", "safe_when", "hold", "release"),
+    "handoff": ("order", "safe_when", "hold", "release", "save", "load", "topic"),
     "history": ("at", "host", *map(get_flat_used_key, RESOURCES)),
     "hosts": ("status", "error", *(resource.name for resource in HOST_RESOURCES)),
     "interfaces": (

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 
 from edgectl.formats.document import Document, without_none
-from edgectl.model.result import ActionResult, Outcome, PhaseResult, Results
+from edgectl.model.result import ActionResult, CarriedState, Outcome, PhaseResult, Results
 from edgectl.units import format_duration
 from edgectl.views.output import ItemView
 from edgectl.views.output_format import NAMED_FORMATS
@@ -148,9 +148,23 @@ def encode_action_result(action: ActionResult) -> Document:
         "previous_host": action.previous_host,
         "located": action.located,
         "downtime_s": action.downtime_s,
+        **({} if action.state is None else {"carried": _encode_carried_state(action.state)}),
         "phases": [_encode_phase_result(phase) for phase in action.phases],
     }
     return document | without_none(error=action.error or None, hint=action.hint or None)
+
+
+def _encode_carried_state(state: CarriedState) -> Document:
+    return {
+        "host": state.host or None,
+        "size_bytes": state.size_bytes,
+        "sent_bytes": state.sent_bytes,
+        "sha256": state.sha256,
+        "save_s": state.save_s,
+        "transfer_s": state.transfer_s,
+        "load_s": state.load_s,
+        "age_s": state.age_s,
+    }
 
 
 def _encode_phase_result(phase: PhaseResult) -> Document:

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from edgectl.executor.dry_run import list_dry_run_requests
 from edgectl.model.check import Check
 from edgectl.model.result import ActionResult, Outcome, Phase
 from edgectl.model.standby import StateRule
@@ -21,7 +22,10 @@ from edgectl.model.task import HandoffContract, HandoffOrder, Task
 from edgectl.state import failpoints
 from edgectl.state.journal import JOURNAL_FILE_NAME
 from edgectl.state.journal_reader import read_journal
+from edgectl.units import format_duration
 from edgectl.usecases.apply import ApplyOptions, plan_and_apply
+from edgectl.usecases.events import EventFilter, list_events
+from edgectl.usecases.history import list_revisions
 from tests.builders import a_task, an_edge, an_inventory
 from tests.e2e import memory_task
 from tests.e2e.bench import EAGER, GENTLE, QUICK, Bench, a_local, open_bench
@@ -123,6 +127,33 @@ def test_stop_first_takes_the_memory_along(scene: Scene) -> None:
     assert not scene.spools()
     assert not scene.written()
     assert read_commits(scene)[-1]["state"]["sha256"] == kept.sha256
+    fleet = scene.bench.using(task).fleet
+    past = list_revisions(fleet)[-1].actions[0].state
+    assert past is not None
+    assert (past.size_bytes, past.sha256, past.host) == (kept.size_bytes, kept.sha256, kept.host)
+    assert past.age_s == pytest.approx(kept.age_s, abs=1e-3)
+    said = list_events(fleet, EventFilter(task="keeper"))[-1].message
+    assert f"state of {kept.size_bytes}B" in said
+    assert f"state {format_duration(kept.age_s)} old" in said
+
+
+def test_a_dry_run_lists_what_hands_over_the_state(scene: Scene) -> None:
+    task = scene.task()
+    old = scene.running(task)
+    before = len(read_commits(scene))
+    fleet = scene.bench.using(exclude_host(task, old)).fleet
+    listed = list_dry_run_requests(
+        scene.bench.using(*fleet.tasks.tasks.values()).plan(), fleet.inventory, fleet.tasks
+    )
+    phases = [(entry["phase"], entry["host"], dict(entry["stdin"])["op"]) for entry in listed]  # type: ignore[call-overload]
+    new = ({"edge1", "edge2"} - {old}).pop()
+    assert phases == [
+        ("reach", new, "status"), ("save", old, "save-state"), ("transfer", new, "write-state"),
+        ("transfer", old, "read-state"), ("stop", old, "stop"), ("start", new, "start"),
+        ("load", new, "load-state"), ("ready", new, "wait"),
+    ]  # fmt: skip
+    assert len(read_commits(scene)) == before
+    assert not scene.spools()
 
 
 def test_start_first_takes_it_along_before_the_old_one_stops(scene: Scene) -> None:
