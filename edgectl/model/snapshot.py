@@ -212,9 +212,11 @@ class HostSample:
     has under another host name, unless that host reports them itself. ``foreign_tasks``: tasks of other
     fleets; they are load, and nothing else is done with them. ``address``: as the inventory states it.
     ``machine``: machine id, user and state directories of the login, as ``ID/UID/HASH``; "" where there is no
-    machine id. ``grant``: how often the host has granted the fleet to a manager. ``foreign_grant``: number of
-    the last grant to another manager than the one that took the snapshot. ``foreign_hosts``: hosts that the
-    inventory lacks and on which other managers of the fleet may place tasks. ``counters``: "" where none are
+    machine id. ``standbys``: the inactive copies of tasks that wait on the host; an active instance is in
+    ``tasks``, and so is one that is just becoming active or inactive. ``grant``: how often the host has
+    granted the fleet to a manager. ``foreign_grant``: number of the last grant to another manager than the
+    one that took the snapshot. ``foreign_hosts``: hosts that the inventory lacks and on which other managers
+    of the fleet may place tasks. ``counters``: "" where none are
     installed for this fleet, "installed", or why they cannot be read.
     """
 
@@ -233,6 +235,7 @@ class HostSample:
     )
     links: Mapping[str, LinkSample] = field(default_factory=dict, metadata=in_document(always=True))
     tasks: Mapping[str, TaskSample] = field(default_factory=dict, metadata=in_document(always=True))
+    standbys: Mapping[str, TaskSample] = field(default_factory=dict)
     device: DeviceSample = DeviceSample()
     generations: Mapping[str, int] = field(default_factory=dict)
     other_tasks: tuple[OtherTask, ...] = ()
