@@ -16,6 +16,8 @@ from edgectl.model.snapshot import (
     TaskState,
 )
 
+# Role of an instance that was proven to be inactive.
+STANDBY_ROLE = "standby"
 # Larger ones overflow in a mean or a deviation.
 _MAX_METRIC = 1e100
 # Of one host, those that it only remembers included.
@@ -61,6 +63,26 @@ def _decode_task_or_stub(name: str, entry: object, answered_at: float) -> TaskSa
             started_at=answered_at,
             detail=f"its entry cannot be read: {error.message}",
         )
+
+
+def separate_standbys(
+    reply: ProbeReply, tasks: Mapping[str, TaskSample]
+) -> tuple[dict[str, TaskSample], dict[str, TaskSample]]:
+    """``tasks`` without the inactive copies, and these.
+
+    An instance that is becoming active or inactive may be active, and so may one whose role cannot be read.
+    """
+    inactive = {name for name in tasks if _is_standby(reply.tasks.get(name))}
+    return (
+        {name: task for name, task in tasks.items() if name not in inactive},
+        {name: task for name, task in tasks.items() if name in inactive},
+    )
+
+
+def _is_standby(entry: object) -> bool:
+    if not isinstance(entry, dict) or entry.get("role") != STANDBY_ROLE:
+        return False
+    return entry.get("switching", False) is False
 
 
 def build_generations(reply: ProbeReply, tasks: Mapping[str, TaskSample]) -> dict[str, int]:
@@ -118,6 +140,7 @@ def _decode_task(name: str, entry: object, answered_at: float) -> TaskSample:
         needed=reply.needed,
         nodes=reply.nodes,
         partial=reply.partial,
+        switching=reply.switching,
     )
 
 

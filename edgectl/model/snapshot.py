@@ -120,7 +120,7 @@ class TaskSample:
     ``nodes``: the names and addresses under which its nodes are registered at a ROS 1 master.
     ``partial``: what its traffic lacks, as of a link.
     ``orphaned``: it lives without a supervisor; ``adoptable``: a new one can take it over as it is (ADR
-    0041).
+    0041). ``switching``: it is just becoming active or inactive.
     """
 
     state: TaskState
@@ -150,6 +150,7 @@ class TaskSample:
     needed: str = ""
     nodes: Mapping[str, str] = field(default_factory=dict)
     partial: str = ""
+    switching: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -251,6 +252,11 @@ class HostSample:
     def ok(self) -> bool:
         """Whether the host answered."""
         return self.status is HostStatus.OK
+
+    @property
+    def instances(self) -> dict[str, TaskSample]:
+        """Every instance on the host, active or inactive, by task."""
+        return {**self.standbys, **self.tasks}
 
     @property
     def measured(self) -> bool:
