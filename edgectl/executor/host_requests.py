@@ -14,6 +14,9 @@ Request = dict[str, object]
 Hosts = Mapping[str, Host]
 # Placeholders in a request that is not filled yet.
 NO_INSTANCE, NO_GENERATION, NO_MANAGER = "0", 0, ""
+# How long a command without a ready check must have run until it counts as ready: most that die at start do
+# so within it (a missing library, a refused connection, a bad argument).
+DEFAULT_UP_S = 3.0
 
 
 def build_instance_id(plan_id: str, task: str, host: str, attempt: int) -> str:
@@ -21,10 +24,12 @@ def build_instance_id(plan_id: str, task: str, host: str, attempt: int) -> str:
     return hashlib.sha256("\0".join((plan_id, task, host, str(attempt))).encode()).hexdigest()[:16]
 
 
-def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
+def build_start_request(
+    task: Task, host: Host, hosts: Hosts, *, role: str = protocol.ROLE_ACTIVE
+) -> Request:
     """Start ``task`` on ``host`` under its supervisor; a ready check on the robot is left to the manager.
 
-    Secrets are masked, instance, generation and manager are placeholders; `fill_start_request` completes it.
+    ``role``: whether it is to become active, or to wait inactive. Secrets are masked, instance, generation and manager are placeholders; `fill_start_request` completes it.
     """
     ready = task.ready if task.ready is not None and task.ready.on is CheckLocation.HOST else None
     spec: Request = {
@@ -46,6 +51,7 @@ def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
         "fields": dict(task.spec_fields),
         "file": task.file,
         "needed": "",
+        "activation": _encode_activation(task, host),
     }
     return {
         "op": protocol.OP_START,
@@ -55,8 +61,27 @@ def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
         "instance": NO_INSTANCE,
         "generation": NO_GENERATION,
         "manager": NO_MANAGER,
+        "role": role,
         "spec": spec,
     }
+
+
+def _encode_activation(task: Task, host: Host) -> Request | None:
+    """How the instance becomes active and inactive; None: it is active from its start."""
+    rule = task.activation
+    if rule is None:
+        return None
+    pair = {"activate": rule.activate, "deactivate": rule.deactivate, "ready": rule.ready}
+    checks = {key: None if check is None else _encode_check(check, host) for key, check in pair.items()}
+    return {**checks, "lifecycle": rule.lifecycle, "up_s": get_copy_up_time(task)}
+
+
+def get_copy_up_time(task: Task) -> float:
+    """How long (s) an inactive copy must have run until it can be activated; 0 where that can be asked."""
+    rule = task.activation
+    if rule is None or rule.ready is not None or rule.lifecycle is not None:
+        return 0.0
+    return DEFAULT_UP_S if task.up is None else task.up
 
 
 def _encode_check(check: Check, host: Host) -> Request:
@@ -95,6 +120,52 @@ def fill_start_request(
     spec = request["spec"]
     filled = {**spec, "env": dict(variables), "needed": needed} if isinstance(spec, dict) else spec
     return {**request, "instance": instance, "generation": generation, "manager": manager, "spec": filled}
+
+
+def fill_switch_request(
+    request: Request,
+    *,
+    instance: str,
+    generation: int,
+    manager: str,
+    variables: Mapping[str, str],
+    await_go_s: float = 0.0,
+) -> Request:
+    """A request that makes an instance active or inactive, as it is sent; see `fill_start_request`.
+
+    ``await_go_s``: how long the host waits for the word to go on, once it is prepared; 0: not at all.
+    """
+    spec = request["spec"]
+    filled = {**spec, "env": dict(variables)} if isinstance(spec, dict) else spec
+    return {
+        **request,
+        "instance": instance,
+        "generation": generation,
+        "manager": manager,
+        "spec": filled,
+        "await_go_s": await_go_s,
+    }
+
+
+def build_switch_request(op: str, task: Task, host: Host, hosts: Hosts, instance: str) -> Request:
+    """Make ``instance`` active or inactive (``op``); completed by `fill_switch_request`."""
+    spec: Request = {
+        "env": merge_environment(task, host, hosts),
+        "prelude": host.prelude,
+        "ros": encode_ros(task, host, hosts),
+        "activation": _encode_activation(task, host),
+    }
+    return {
+        "op": op,
+        "fleet": host.fleet,
+        "host": host.name,
+        "task": task.name,
+        "instance": instance,
+        "generation": NO_GENERATION,
+        "manager": NO_MANAGER,
+        "spec": spec,
+        "await_go_s": 0.0,
+    }
 
 
 def build_stop_request(

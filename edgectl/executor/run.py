@@ -6,9 +6,7 @@ from collections.abc import Mapping
 
 from edgectl.errors import HostError, RefusedError, StateError, describe_unseen_task
 from edgectl.executor.action_phases import (
-    StartPhases,
     build_adopt_phases,
-    build_start_phases,
     build_stop_phases,
 )
 from edgectl.executor.cancellation import INTERRUPTED, Cancellation
@@ -24,6 +22,7 @@ from edgectl.executor.dependencies import (
 )
 from edgectl.executor.handoff import move_task, replace_task
 from edgectl.executor.phases import perform_phases, resolve_variables
+from edgectl.executor.start_phases import StartPhases, build_start_phases
 from edgectl.executor.step_run import RunContext, RunIdentity, RunOptions, StepRun
 from edgectl.executor.stop_budget import BudgetSpentError, StopBudget
 from edgectl.executor.worker_pool import WorkerPool

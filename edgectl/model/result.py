@@ -20,15 +20,18 @@ class Phase(StrEnum):
     """One part of an action, in the words of the handoff contract.
 
     ``reach`` (the host answers) and ``needs`` (predecessors are far enough) change nothing and are not in
-    results.
+    results. ``standby``: an inactive copy is started and can be activated.
     """
 
     REACH = "reach"
     NEEDS = "needs"
     SAFE = "safe"
     HOLD = "hold"
+    STANDBY = "standby"
+    DEACTIVATE = "deactivate"
     STOP = "stop"
     START = "start"
+    ACTIVATE = "activate"
     ADOPT = "adopt"
     READY = "ready"
     RELEASE = "release"
