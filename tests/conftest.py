@@ -205,7 +205,7 @@ def isolated(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monke
 def short_up_time() -> Iterator[None]:
     """Tasks without a ready check count as ready after 0.3 s, so that an apply in this process returns soon."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("edgectl.executor.host_requests.DEFAULT_UP_S", 0.3)
+        patch.setattr("edgectl.executor.action_phases.DEFAULT_UP_S", 0.3)
         yield
 
 

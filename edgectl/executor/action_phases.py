@@ -16,6 +16,9 @@ from edgectl.model.task import Need, NeedCondition, Task, Tasks
 
 # One wait request lasts at most so long, so that a lost connection is not mistaken for a slow task.
 WAIT_PIECE_S = 15.0
+# How long a command without a ready check must have run until it counts as ready: most that die at start do
+# so within it (a missing library, a refused connection, a bad argument).
+DEFAULT_UP_S = 3.0
 # How long a task without a ready check may take beyond that: it may be restarted meanwhile.
 DEFAULT_READY_S = 10.0
 # How long a successor waits for a job to complete before it is left to the next apply.
@@ -148,7 +151,15 @@ def get_up_time(task: Task) -> float:
     """How long (s) the command must have run until the task counts as ready; 0 where a check decides."""
     if task.ready is not None:
         return 0.0
-    return host_requests.DEFAULT_UP_S if task.up is None else task.up
+    return DEFAULT_UP_S if task.up is None else task.up
+
+
+def get_copy_up_time(task: Task) -> float:
+    """How long (s) an inactive copy must have run until it can be activated; 0 where that can be asked."""
+    rule = task.activation
+    if rule is None or rule.ready is not None or rule.lifecycle is not None:
+        return 0.0
+    return DEFAULT_UP_S if task.up is None else task.up
 
 
 def _get_ready_timeout(task: Task) -> float:
@@ -158,7 +169,7 @@ def _get_ready_timeout(task: Task) -> float:
 def build_wait(
     task: Task, host: Host, instance: str, timeout_s: float, *, up_s: float | None = None
 ) -> PlannedRequest:
-    """Wait on the host until an instance is ready; ``up_s``: as `build_wait_request`, None: the task's own."""
+    """Wait on the host until an instance is ready; ``up_s``: of `build_wait_request`, None: the task's."""
     piece = min(WAIT_PIECE_S, timeout_s)
     up_s = get_up_time(task) if up_s is None else up_s
     body = host_requests.build_wait_request(task.name, host, instance=instance, timeout_s=piece, up_s=up_s)
@@ -189,9 +200,7 @@ def build_hook_phases(
     return (PlannedPhase(phase=phase, task=task.name, requests=(request,)),)
 
 
-def build_need_phases(
-    needs: Iterable[Need], plan: Plan, inventory: Inventory, tasks: Tasks
-) -> PlannedPhases:
+def build_need_phases(needs: Iterable[Need], plan: Plan, inventory: Inventory, tasks: Tasks) -> PlannedPhases:
     """A wait for each predecessor that neither the snapshot nor this plan settles.
 
     Raises:

@@ -2,8 +2,8 @@
 
 stop-first: safe? -> hold -> stop old, verified gone -> start new -> ready -> release.
 start-first: safe? -> hold -> start new -> ready -> stop old -> release.
-warm: start the copy, if there is none -> safe? -> hold -> deactivate old, verified inactive -> activate new ->
-ready -> release -> the old one stays as a copy, or stops (``warm_move``).
+warm: start the copy, if there is none -> safe? -> hold -> deactivate old, verified -> activate new -> ready
+-> release -> the old one stays as a copy, or stops (``warm_move``).
 replacement of an instance that is gone with its unreachable host: hold -> start new -> ready -> release.
 
 What ends a handoff (taking the new instance away, putting the old one back, release) asks a host that was
@@ -14,10 +14,12 @@ the result reports it, and the next apply that gets an instance ready releases i
 """
 
 import time
+from collections.abc import Mapping
 
 from edgectl.errors import HostError, RefusedError
 from edgectl.executor.action_phases import (
     PlannedPhase,
+    PlannedPhases,
     build_hook_phases,
     build_run_phases,
     build_stop_phase,
@@ -27,6 +29,7 @@ from edgectl.executor.handoff_error import HandoffError
 from edgectl.executor.phases import perform_phase, perform_phases, resolve_variables
 from edgectl.executor.start_phases import StartPhases
 from edgectl.executor.step_run import StepRun
+from edgectl.executor.switch import SwitchError
 from edgectl.executor.warm_move import swap_active_instance
 from edgectl.model.check import CheckLocation
 from edgectl.model.result import ActionResult, Outcome, Phase
@@ -71,11 +74,29 @@ def replace_task(act: StepRun, task: Task, planned: StartPhases) -> ActionResult
     except HostError as error:
         return act.end(Outcome.DEFERRED, located=old, error=error)
     try:
-        perform_phases(act, planned.change, variables)
+        start_instance(act, task, planned.change, host, variables)
     except HostError as error:
         there = old if isinstance(error, RefusedError) else host
         return _end_failed_handoff(act, task, HandoffError(error, there, steers=False))
     return _release_and_end(act, planned, host, None)
+
+
+def start_instance(
+    act: StepRun, task: Task, change: PlannedPhases, host: str, variables: Mapping[str, str]
+) -> None:
+    """Start the task on ``host`` and wait until it is ready; where a copy that waits there cannot be
+    activated, start it anew.
+
+    Raises:
+        HostError: as `perform_phases`.
+    """
+    try:
+        perform_phases(act, change, variables)
+    except (RefusedError, SwitchError):
+        if change[0].phase is not Phase.ACTIVATE:
+            raise
+        perform_phase(act, build_stop_phase(act.name, task, host, act.run.inventory, instance=None))
+        perform_phases(act, build_run_phases(task, host, act.run.inventory), variables)
 
 
 def _judge_preparation(act: StepRun) -> Outcome:

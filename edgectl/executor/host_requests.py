@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from edgectl.agent.link import protocol
 from edgectl.model.check import AliveRule, Check, CheckLocation, OnUnhealthy
 from edgectl.model.inventory import Host
+from edgectl.model.standby import Activation
 from edgectl.model.task import StopRule, Task
 from edgectl.rules.environment import drop_secrets, merge_environment
 from edgectl.rules.ros import encode_question, encode_ros
@@ -14,9 +15,8 @@ Request = dict[str, object]
 Hosts = Mapping[str, Host]
 # Placeholders in a request that is not filled yet.
 NO_INSTANCE, NO_GENERATION, NO_MANAGER = "0", 0, ""
-# How long a command without a ready check must have run until it counts as ready: most that die at start do
-# so within it (a missing library, a refused connection, a bad argument).
-DEFAULT_UP_S = 3.0
+# Seconds of an activation besides its commands: boot of the agent, set-up files, transitions of a lifecycle.
+SWITCH_MARGIN_S = 30.0
 
 
 def build_instance_id(plan_id: str, task: str, host: str, attempt: int) -> str:
@@ -24,35 +24,13 @@ def build_instance_id(plan_id: str, task: str, host: str, attempt: int) -> str:
     return hashlib.sha256("\0".join((plan_id, task, host, str(attempt))).encode()).hexdigest()[:16]
 
 
-def build_start_request(
-    task: Task, host: Host, hosts: Hosts, *, role: str = protocol.ROLE_ACTIVE
-) -> Request:
+def build_start_request(task: Task, host: Host, hosts: Hosts, role: str = protocol.ROLE_ACTIVE) -> Request:
     """Start ``task`` on ``host`` under its supervisor; a ready check on the robot is left to the manager.
 
-    ``role``: whether it is to become active, or to wait inactive. Secrets are masked, instance, generation and manager are placeholders; `fill_start_request` completes it.
+    ``role``: of a task with an activation, whether the instance is made active once it is ready for that.
+
+    Secrets are masked, instance, generation and manager are placeholders; `fill_start_request` completes it.
     """
-    ready = task.ready if task.ready is not None and task.ready.on is CheckLocation.HOST else None
-    spec: Request = {
-        "command": task.command,
-        "prelude": host.prelude,
-        "env": merge_environment(task, host, hosts),
-        "workdir": task.workdir,
-        "kind": task.kind.value,
-        "restart": task.restart.value,
-        "stop": encode_stop_rule(task.stop),
-        "ready": None if ready is None else _encode_check(ready, host),
-        "alive": None if task.alive is None else _encode_alive(task.alive, host),
-        "ros": encode_ros(task, host, hosts),
-        "log": {"max_bytes": int(task.log.max_size), "files": task.log.files},
-        "limits": {"cpu": task.limits.cpu, "memory": task.limits.memory},
-        "runtime": host.runtime.value,
-        "self_fence_s": task.self_fence,
-        "spec_hash": task.spec_hash,
-        "fields": dict(task.spec_fields),
-        "file": task.file,
-        "needed": "",
-        "activation": _encode_activation(task, host),
-    }
     return {
         "op": protocol.OP_START,
         "fleet": host.fleet,
@@ -62,26 +40,86 @@ def build_start_request(
         "generation": NO_GENERATION,
         "manager": NO_MANAGER,
         "role": role,
-        "spec": spec,
+        "spec": _encode_spec(task, host, hosts),
     }
 
 
-def _encode_activation(task: Task, host: Host) -> Request | None:
-    """How the instance becomes active and inactive; None: it is active from its start."""
-    rule = task.activation
-    if rule is None:
-        return None
-    pair = {"activate": rule.activate, "deactivate": rule.deactivate, "ready": rule.ready}
-    checks = {key: None if check is None else _encode_check(check, host) for key, check in pair.items()}
-    return {**checks, "lifecycle": rule.lifecycle, "up_s": get_copy_up_time(task)}
+def _encode_spec(task: Task, host: Host, hosts: Hosts) -> Request:
+    ready = task.ready if task.ready is not None and task.ready.on is CheckLocation.HOST else None
+    return {
+        "command": task.command,
+        "prelude": host.prelude,
+        "env": merge_environment(task, host, hosts),
+        "workdir": task.workdir,
+        "kind": task.kind.value,
+        "restart": task.restart.value,
+        "stop": encode_stop_rule(task.stop),
+        "ready": None if ready is None else _encode_check(ready, host),
+        "alive": None if task.alive is None else _encode_alive(task.alive, host),
+        "activation": None if task.activation is None else _encode_activation(task, task.activation, host),
+        "ros": encode_ros(task, host, hosts),
+        "log": {"max_bytes": int(task.log.max_size), "files": task.log.files},
+        "limits": {"cpu": task.limits.cpu, "memory": task.limits.memory},
+        "runtime": host.runtime.value,
+        "self_fence_s": task.self_fence,
+        "spec_hash": task.spec_hash,
+        "fields": dict(task.spec_fields),
+        "file": task.file,
+        "needed": "",
+    }
 
 
-def get_copy_up_time(task: Task) -> float:
-    """How long (s) an inactive copy must have run until it can be activated; 0 where that can be asked."""
-    rule = task.activation
-    if rule is None or rule.ready is not None or rule.lifecycle is not None:
-        return 0.0
-    return DEFAULT_UP_S if task.up is None else task.up
+def _encode_activation(task: Task, rule: Activation, host: Host) -> Request:
+    """How an instance becomes active and inactive, and how it is known that it can."""
+    return {
+        "activate": None if rule.activate is None else _encode_check(rule.activate, host),
+        "deactivate": None if rule.deactivate is None else _encode_check(rule.deactivate, host),
+        "lifecycle": rule.lifecycle,
+        "ready": None if rule.ready is None else _encode_check(rule.ready, host),
+        "up_s": task.up,
+    }
+
+
+def build_activate_request(
+    task: Task, host: Host, hosts: Hosts, *, instance: str, await_go_s: float = 0.0
+) -> Request:
+    """Make the inactive ``instance`` active; completed as a start request is.
+
+    ``await_go_s`` above 0: the host prepares it and waits so long for ``go`` (`hold_agent_call`).
+    """
+    return _build_switch_request(protocol.OP_ACTIVATE, task, host, hosts, instance, await_go_s)
+
+
+def build_deactivate_request(
+    task: Task, host: Host, hosts: Hosts, *, instance: str, await_go_s: float = 0.0
+) -> Request:
+    """Make the active ``instance`` inactive, with proof; otherwise as `build_activate_request`."""
+    return _build_switch_request(protocol.OP_DEACTIVATE, task, host, hosts, instance, await_go_s)
+
+
+def _build_switch_request(
+    op: str, task: Task, host: Host, hosts: Hosts, instance: str, await_go_s: float
+) -> Request:
+    return {
+        "op": op,
+        "fleet": host.fleet,
+        "host": host.name,
+        "task": task.name,
+        "instance": instance,
+        "generation": NO_GENERATION,
+        "manager": NO_MANAGER,
+        "spec": _encode_spec(task, host, hosts),
+        "await_go_s": await_go_s,
+    }
+
+
+def compute_switch_timeout_s(rule: Activation) -> float:
+    """Seconds that an activation or a deactivation may take, the way back of a failed one included.
+
+    As the ``timeout`` of a call of these requests, or of `hold_agent_call`.
+    """
+    checks = [check for check in (rule.activate, rule.deactivate) if check is not None]
+    return SWITCH_MARGIN_S + sum(check.timeout for check in checks)
 
 
 def _encode_check(check: Check, host: Host) -> Request:
@@ -120,52 +158,6 @@ def fill_start_request(
     spec = request["spec"]
     filled = {**spec, "env": dict(variables), "needed": needed} if isinstance(spec, dict) else spec
     return {**request, "instance": instance, "generation": generation, "manager": manager, "spec": filled}
-
-
-def fill_switch_request(
-    request: Request,
-    *,
-    instance: str,
-    generation: int,
-    manager: str,
-    variables: Mapping[str, str],
-    await_go_s: float = 0.0,
-) -> Request:
-    """A request that makes an instance active or inactive, as it is sent; see `fill_start_request`.
-
-    ``await_go_s``: how long the host waits for the word to go on, once it is prepared; 0: not at all.
-    """
-    spec = request["spec"]
-    filled = {**spec, "env": dict(variables)} if isinstance(spec, dict) else spec
-    return {
-        **request,
-        "instance": instance,
-        "generation": generation,
-        "manager": manager,
-        "spec": filled,
-        "await_go_s": await_go_s,
-    }
-
-
-def build_switch_request(op: str, task: Task, host: Host, hosts: Hosts, instance: str) -> Request:
-    """Make ``instance`` active or inactive (``op``); completed by `fill_switch_request`."""
-    spec: Request = {
-        "env": merge_environment(task, host, hosts),
-        "prelude": host.prelude,
-        "ros": encode_ros(task, host, hosts),
-        "activation": _encode_activation(task, host),
-    }
-    return {
-        "op": op,
-        "fleet": host.fleet,
-        "host": host.name,
-        "task": task.name,
-        "instance": instance,
-        "generation": NO_GENERATION,
-        "manager": NO_MANAGER,
-        "spec": spec,
-        "await_go_s": 0.0,
-    }
 
 
 def build_stop_request(

@@ -7,7 +7,13 @@ from types import MappingProxyType
 from edgectl.agent.link import protocol
 from edgectl.errors import HostError
 from edgectl.executor import host_requests
-from edgectl.executor.action_phases import WAIT_PIECE_S, PlannedPhase, PlannedPhases, PlannedRequest
+from edgectl.executor.action_phases import (
+    WAIT_PIECE_S,
+    PlannedPhase,
+    PlannedPhases,
+    PlannedRequest,
+    get_copy_up_time,
+)
 from edgectl.executor.concurrent_change import check_gone_everywhere
 from edgectl.executor.host_requests import Request
 from edgectl.executor.secrets import resolve_environment
@@ -58,6 +64,15 @@ def perform_phase(act: StepRun, planned: PlannedPhase, variables: Mapping[str, s
             _wait_until_safe(act, planned)
         case Phase.HOLD | Phase.RELEASE:
             _run_hook(act, planned)
+        case Phase.READY:
+            _wait_until_ready(act, planned)
+        case _:
+            _change_instance(act, planned, variables)
+
+
+def _change_instance(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str]) -> None:
+    """Perform a phase that changes an instance."""
+    match planned.phase:
         case Phase.STOP:
             _stop_task(act, planned)
         case Phase.STANDBY:
@@ -70,8 +85,6 @@ def perform_phase(act: StepRun, planned: PlannedPhase, variables: Mapping[str, s
             _start_task(act, planned, variables)
         case Phase.ADOPT:
             _adopt_task(act, planned, variables)
-        case Phase.READY:
-            _wait_until_ready(act, planned)
 
 
 def resolve_variables(act: StepRun, task: Task, host_name: str) -> dict[str, str]:
@@ -223,7 +236,7 @@ def _wait_on_host(
 def _is_checked_on_host(task: Task, *, copy: bool) -> bool:
     """Whether the host decides by more than time whether an instance is ready."""
     if copy:
-        return not host_requests.get_copy_up_time(task)
+        return not get_copy_up_time(task)
     return task.ready is not None and task.ready.on is CheckLocation.HOST
 
 

@@ -5,19 +5,20 @@ from edgectl.executor import host_requests
 from edgectl.executor.action_phases import (
     DEFAULT_READY_S,
     PlannedPhase,
-    PlannedRequest,
     PlannedPhases,
+    PlannedRequest,
     build_stop_phase,
     build_wait,
+    get_copy_up_time,
     get_host,
 )
-from edgectl.model.check import Check
-from edgectl.model.inventory import Host, Inventory
+from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.result import Phase
 from edgectl.model.snapshot import HostSample, TaskSample
 from edgectl.model.standby import Activation
-from edgectl.model.task import Task
+from edgectl.model.standby_plan import StandbyAction, StandbyStep
+from edgectl.model.task import Task, Tasks
 
 # How long a transition of a lifecycle may take: `on_configure` of a large node loads its model.
 LIFECYCLE_S = 30.0
@@ -76,7 +77,7 @@ def build_standby_phase(task: Task, host_name: str, inventory: Inventory) -> Pla
     """Start an inactive copy on a host and wait until it can be activated."""
     host = get_host(inventory, host_name)
     body = host_requests.build_start_request(task, host, inventory.hosts, role=protocol.ROLE_STANDBY)
-    timeout_s, up_s = _get_copy_timeout(task), host_requests.get_copy_up_time(task)
+    timeout_s, up_s = _get_copy_timeout(task), get_copy_up_time(task)
     wait = build_wait(task, host, host_requests.NO_INSTANCE, timeout_s, up_s=up_s)
     return PlannedPhase(
         phase=Phase.STANDBY,
@@ -93,7 +94,22 @@ def _get_copy_timeout(task: Task) -> float:
         return rule.ready.timeout
     if rule is not None and rule.lifecycle is not None:
         return LIFECYCLE_S
-    return DEFAULT_READY_S + host_requests.get_copy_up_time(task)
+    return DEFAULT_READY_S + get_copy_up_time(task)
+
+
+def build_copy_phases(step: Step, copy: StandbyStep, inventory: Inventory, tasks: Tasks) -> PlannedPhases:
+    """What a plan does with one inactive copy by itself: stop it, start it, or start it anew.
+
+    Raises:
+        HostError: its host left the inventory.
+    """
+    task, host = tasks.tasks.get(step.task), copy.host or ""
+    phases: PlannedPhases = ()
+    if copy.action in (StandbyAction.STOP, StandbyAction.RESTART):
+        phases += (build_stop_phase(step.task, task, host, inventory, instance=copy.instance or None),)
+    if copy.action in (StandbyAction.START, StandbyAction.RESTART) and task is not None:
+        phases += (build_standby_phase(task, host, inventory),)
+    return phases
 
 
 def build_switch_phase(
@@ -101,19 +117,15 @@ def build_switch_phase(
 ) -> PlannedPhase:
     """Make ``instance`` active, or inactive (``phase`` DEACTIVATE), and have it proven."""
     host, rule = get_host(inventory, host_name), task.activation or Activation()
-    away = phase is Phase.DEACTIVATE
-    body = host_requests.build_switch_request(
-        protocol.OP_DEACTIVATE if away else protocol.OP_ACTIVATE, task, host, inventory.hosts, instance
+    build = (
+        host_requests.build_deactivate_request
+        if phase is Phase.DEACTIVATE
+        else host_requests.build_activate_request
     )
-    # A deactivation that fails activates the instance again.
-    checks = (rule.deactivate, rule.activate) if away else (rule.activate,)
-    timeout_s = sum(map(_get_switch_time, checks))
+    body = build(task, host, inventory.hosts, instance=instance)
+    timeout_s = host_requests.compute_switch_timeout_s(rule)
     request = PlannedRequest(host=host, body=body, timeout_s=timeout_s)
     return PlannedPhase(phase=phase, task=task.name, requests=(request,))
-
-
-def _get_switch_time(check: Check | None) -> float:
-    return LIFECYCLE_S if check is None else check.timeout
 
 
 def get_await_time(before: PlannedPhase) -> float:

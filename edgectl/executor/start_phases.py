@@ -1,4 +1,4 @@
-"""The phases of a start, move or restart in their order, by activation where there is an inactive copy. Pure."""
+"""The phases of a start, move or restart in order, by activation where an inactive copy waits. Pure."""
 
 from collections.abc import Iterable
 
@@ -108,7 +108,7 @@ def _build_appear_phases(
 def _build_warm_move_phases(
     step: Step, task: Task, needs: PlannedPhases, plan: Plan, inventory: Inventory
 ) -> StartPhases:
-    """A copy is there before anything is touched, and becomes active once the old instance is proven inactive.
+    """A copy is there before anything is touched; it becomes active once the old instance is inactive.
 
     Raises:
         HostError: a host left the inventory or is never contacted.

@@ -18,9 +18,10 @@ from edgectl.model.result import ActionResult, Outcome, Phase, PhaseResult
 from edgectl.model.task import Task, Tasks
 from edgectl.state.failpoints import hit_failpoint
 from edgectl.state.journal import Journal
-from edgectl.transport.agent_client import call_agent, hold_agent_call
+from edgectl.transport.agent_client import call_agent
 from edgectl.transport.base import Session, Transport
 from edgectl.transport.fleet_lease import FleetLease
+from edgectl.transport.held_call import hold_agent_call
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -43,7 +43,7 @@ def switch_instance(act: StepRun, planned: PlannedPhase, variables: Mapping[str,
     body = _fill_request(act, planned, variables)
     with act.phase(planned.phase, planned.host.name):
         _check_answer(act, planned, _ask(act, planned, body))
-    _note_active(act, planned, body)
+    _note_active(act, body)
 
 
 @contextlib.contextmanager
@@ -62,12 +62,12 @@ def prepare_switch(
     seconds = planned.requests[0].timeout_s + act.run.options.call_s
     held = {**body, "await_go_s": await_go_s}
     act.run.record("phase", task=act.name, phase=planned.phase.value, host=host.name)
-    with act.run.hold(host, held, timeout=await_go_s + seconds) as go_on:
+    with act.run.hold(host, held, timeout=seconds) as go_on:
 
         def carry_out() -> None:
             with act.phase(planned.phase, host.name, side_effect=False):
                 _check_answer(act, planned, _go_on_or_ask(act, planned, body, go_on))
-            _note_active(act, planned, body)
+            _note_active(act, body)
 
         yield carry_out
 
@@ -98,7 +98,7 @@ def _fill_request(act: StepRun, planned: PlannedPhase, variables: Mapping[str, s
     request = planned.requests[0]
     # What is restored takes a generation of its own.
     generation = act.generation + (planned.phase is Phase.RESTORE)
-    return host_requests.fill_switch_request(
+    return host_requests.fill_start_request(
         request.body,
         instance=str(request.body["instance"]),
         generation=min(protocol.MAX_GENERATION, generation),
@@ -126,7 +126,7 @@ def _check_answer(act: StepRun, planned: PlannedPhase, answer: Request) -> None:
     )
 
 
-def _note_active(act: StepRun, planned: PlannedPhase, body: Request) -> None:
+def _note_active(act: StepRun, body: Request) -> None:
     """What becomes active counts as started: it is waited for."""
     if body["op"] == protocol.OP_ACTIVATE:
         act.started = str(body["instance"])

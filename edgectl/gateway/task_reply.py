@@ -15,9 +15,8 @@ from edgectl.model.snapshot import (
     TaskSample,
     TaskState,
 )
+from edgectl.model.standby import is_standby_entry
 
-# Role of an instance that was proven to be inactive.
-STANDBY_ROLE = "standby"
 # Larger ones overflow in a mean or a deviation.
 _MAX_METRIC = 1e100
 # Of one host, those that it only remembers included.
@@ -72,17 +71,11 @@ def separate_standbys(
 
     An instance that is becoming active or inactive may be active, and so may one whose role cannot be read.
     """
-    inactive = {name for name in tasks if _is_standby(reply.tasks.get(name))}
+    inactive = {name for name in tasks if is_standby_entry(reply.tasks.get(name))}
     return (
         {name: task for name, task in tasks.items() if name not in inactive},
         {name: task for name, task in tasks.items() if name in inactive},
     )
-
-
-def _is_standby(entry: object) -> bool:
-    if not isinstance(entry, dict) or entry.get("role") != STANDBY_ROLE:
-        return False
-    return entry.get("switching", False) is False
 
 
 def build_generations(reply: ProbeReply, tasks: Mapping[str, TaskSample]) -> dict[str, int]:

@@ -4,6 +4,7 @@ from enum import StrEnum
 
 from edgectl.dataclass import dataclass
 from edgectl.model.plan import Action
+from edgectl.model.standby_plan import StandbyAction
 
 
 class Outcome(StrEnum):
@@ -72,18 +73,35 @@ class ActionResult:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class StandbyResult:
+    """What became of one inactive copy of a task: started or stopped on ``host`` within ``seconds``."""
+
+    task: str
+    host: str
+    action: StandbyAction
+    outcome: Outcome
+    seconds: float = 0.0
+    error: str = ""
+    hint: str = ""
+    instance: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Results:
     """All actions of one apply.
 
-    ``revision`` counts applies of this fleet; ``seconds`` is the whole duration.
+    ``revision`` counts applies of this fleet; ``seconds`` is the whole duration. ``standbys``: the inactive
+    copies that were started or stopped by themselves.
     """
 
     revision: int
     actions: tuple[ActionResult, ...]
     seconds: float
     interrupted: bool = False
+    standbys: tuple[StandbyResult, ...] = ()
 
     @property
     def done(self) -> bool:
         """Whether every action was carried out."""
-        return not self.interrupted and all(action.outcome is Outcome.DONE for action in self.actions)
+        outcomes = [each.outcome for each in (*self.actions, *self.standbys)]
+        return not self.interrupted and all(outcome is Outcome.DONE for outcome in outcomes)

@@ -2,6 +2,7 @@
 
 from enum import StrEnum
 
+from edgectl.agent.link import protocol
 from edgectl.dataclass import dataclass
 from edgectl.model.check import Check
 from edgectl.model.demand import Demand
@@ -34,6 +35,13 @@ class StandbyRule:
     activation: Activation
     hosts: int = 1
     demand: Demand = Demand()
+
+
+def is_standby_entry(entry: object) -> bool:
+    """Whether the entry of an instance in a reply proves that it is inactive."""
+    if not isinstance(entry, dict) or entry.get("role") != protocol.ROLE_STANDBY:
+        return False
+    return entry.get("switching", False) is False
 
 
 class SaveMoment(StrEnum):

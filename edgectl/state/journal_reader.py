@@ -74,6 +74,8 @@ class JournalSummary:
             self.before.update(map(str, names))
         elif event == "intent":
             self._take_intent(task, entry.get("generation"))
+        elif event == "copy" and isinstance(generation := entry.get("generation"), int):
+            self.generations[task] = max(self.generations.get(task, 0), generation + 1)
         elif event == "phase":
             self._take_phase(task, entry)
         elif event == "commit":
@@ -95,7 +97,7 @@ class JournalSummary:
         phase = entry.get("phase")
         if phase == "hold":
             self._held[task] = None
-        elif phase in ("start", "restore"):
+        elif phase in ("start", "activate", "restore"):
             self.located[task] = (str(entry.get("host")), self._intended.get(task, 0) + (phase == "restore"))
 
     def _take_commit(self, task: str, located: object) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from edgectl.executor import action_phases, host_requests
-from edgectl.executor.host_requests import DEFAULT_UP_S
+from edgectl.executor.action_phases import DEFAULT_UP_S
 from edgectl.executor.dependencies import build_step_dependencies, list_stop_hosts
 from edgectl.executor.dry_run import list_dry_run_requests
 from edgectl.model.assignment import Decision, Reason, Verdict
@@ -96,7 +96,7 @@ def test_an_instance_is_named_by_run_task_host_and_attempt() -> None:
 def test_a_start_waits_for_its_check_or_until_the_command_is_up(
     stated: dict[str, Any], up_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(host_requests, "DEFAULT_UP_S", DEFAULT_UP_S)
+    monkeypatch.setattr(action_phases, "DEFAULT_UP_S", DEFAULT_UP_S)
     _, ready = action_phases.build_run_phases(a_task("slam", **stated), "edge1", FLEET)
     assert ready.requests[0].body["up_s"] == up_s
     assert ready.timeout_s == (9.0 if "ready" in stated else up_s + 10.0)

@@ -107,6 +107,10 @@ def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C90
         from ..supervise.stop import stop_task as operation
     elif name == protocol.OP_FORGET:
         from ..supervise.stop import forget_task_nodes as operation
+    elif name == protocol.OP_ACTIVATE:
+        from ..supervise.switch import activate_task as operation
+    elif name == protocol.OP_DEACTIVATE:
+        from ..supervise.switch import deactivate_task as operation
     elif name == protocol.OP_STATUS:
         from ..supervise.status import report_status as operation
     elif name == protocol.OP_WAIT:

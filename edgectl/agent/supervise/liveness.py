@@ -148,6 +148,8 @@ def build_entry(found: InstanceRecord, alive: bool) -> Document:
         "file": instance.get("file", ""),
         "needed": instance.get("needed", ""),
         "generation": instance.get("generation", 0),
+        "role": "",
+        "switching": False,
         "managed": True,
         "restarts": status.get("restarts", 0),
         "exit_code": status.get("exit_code"),
