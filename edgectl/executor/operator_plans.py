@@ -8,6 +8,7 @@ from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.snapshot import HostSample, Snapshot
+from edgectl.model.standby_plan import StandbyAction, StandbyReason, StandbyStep
 from edgectl.model.task import Tasks
 from edgectl.rules.lost_places import build_lost_place_decision, list_lost_tasks
 
@@ -20,6 +21,20 @@ def list_running_instances(snapshot: Snapshot) -> dict[str, dict[str, str]]:
             if task.managed and (task.state.alive or task.pid > 0):
                 found.setdefault(name, {})[host] = task.instance
     return found
+
+
+def list_copy_stops(name: str, snapshot: Snapshot) -> tuple[StandbyStep, ...]:
+    """The stops of all inactive copies of a task that the snapshot shows."""
+    return tuple(
+        StandbyStep(
+            host=host,
+            action=StandbyAction.STOP,
+            reason=StandbyReason.OPERATOR,
+            instance=sample.standbys[name].instance,
+        )
+        for host, sample in snapshot.hosts.items()
+        if sample.ok and name in sample.standbys and sample.standbys[name].managed
+    )
 
 
 def list_unseen_placements(snapshot: Snapshot) -> dict[str, str]:
@@ -43,9 +58,10 @@ def build_stop_plan(names: Iterable[str], inventory: Inventory, tasks: Tasks, sn
     places, unseen = list_running_instances(snapshot), list_unseen_placements(snapshot)
     lost, steps = list_lost_tasks(snapshot), list[Step]()
     for name in names:
+        copies = list_copy_stops(name, snapshot)
         if name in lost:
             decision = build_lost_place_decision(name, lost[name], Verdict.UNPLACED)
-            steps.append(Step(decision=decision, action=Action.STOP))
+            steps.append(Step(decision=decision, action=Action.STOP, standbys=copies))
         elif name in places or name in unseen:
             decision = Decision(
                 task=name,
@@ -54,7 +70,13 @@ def build_stop_plan(names: Iterable[str], inventory: Inventory, tasks: Tasks, sn
                 previous_host=unseen.get(name) or next(iter(places[name])),
                 subject=unseen.get(name),
             )
-            steps.append(Step(decision=decision, action=Action.STOP, instances=places.get(name, {})))
+            instances = places.get(name, {})
+            steps.append(Step(decision=decision, action=Action.STOP, instances=instances, standbys=copies))
+        elif copies:
+            decision = Decision(
+                task=name, verdict=Verdict.UNPLACED, reason=Reason.OPERATOR, previous_host=copies[0].host
+            )
+            steps.append(Step(decision=decision, action=Action.NONE, standbys=copies))
     return _build_operator_plan(tuple(steps), inventory, tasks, snapshot)
 
 
@@ -114,13 +136,19 @@ def build_rollback_plan(plan: Plan, wanted: Mapping[str, str], revision: int) ->
     steps = (
         step
         for step in plan.steps
-        for step in _build_rollback_steps(step, wanted, places.get(step.task, {}), revision)
+        for step in _build_rollback_steps(
+            step, wanted, places.get(step.task, {}), list_copy_stops(step.task, plan.snapshot), revision
+        )
     )
     return dataclasses.replace(plan, steps=tuple(steps), tasks_left_alone={})
 
 
 def _build_rollback_steps(
-    step: Step, wanted: Mapping[str, str], places: Mapping[str, str], revision: int
+    step: Step,
+    wanted: Mapping[str, str],
+    places: Mapping[str, str],
+    copies: tuple[StandbyStep, ...],
+    revision: int,
 ) -> Iterator[Step]:
     decision = step.decision
     if (
@@ -135,12 +163,14 @@ def _build_rollback_steps(
             else decision
         )
         yield dataclasses.replace(step, decision=reason)
-    elif places:
+    elif places or copies:
         left = Decision(
             task=step.task,
             verdict=Verdict.UNPLACED,
             reason=Reason.ROLLBACK,
-            previous_host=next(iter(places)),
+            previous_host=next(iter(places), None),
             amount=float(revision),
         )
-        yield Step(decision=left, action=Action.STOP, instances=places)
+        yield Step(
+            decision=left, action=Action.STOP if places else Action.NONE, instances=places, standbys=copies
+        )

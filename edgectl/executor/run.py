@@ -95,14 +95,16 @@ def run_plan(
         revision=identity.revision,
         actions=tuple(found[name] for name in acts),
         seconds=time.monotonic() - began,
-        interrupted=any(
-            result.outcome is Outcome.SKIPPED and result.error == INTERRUPTED
-            for result in (*found.values(), *copies)
-        ),
+        interrupted=any(_was_interrupted(result) for result in found.values())
+        or any(_was_interrupted(copy) for copy in copies),
         standbys=copies,
     )
     _record_end(shared, results)
     return results
+
+
+def _was_interrupted(result: ActionResult | StandbyResult) -> bool:
+    return result.outcome is Outcome.SKIPPED and result.error == INTERRUPTED
 
 
 def _record_begin(shared: RunContext, acts: Mapping[str, StepRun]) -> None:

@@ -1,4 +1,4 @@
-"""Start and stop inactive copies: those that stop before anything starts, those that start after everything."""
+"""Start and stop inactive copies: stops come before everything that starts, starts after everything."""
 
 import dataclasses
 import time
@@ -58,11 +58,10 @@ def perform_copy_step(
     """Start or stop one copy. ``results``: of the actions on tasks that have ended."""
     result = results.get(step.task)
     if copy.action is not StandbyAction.STOP and result is not None and result.outcome is not Outcome.DONE:
-        return end_copy_step(step, copy, Outcome.SKIPPED, HostError(f"{step.task} is not where it should be"))
-    act, began = (
-        StepRun(run=dataclasses.replace(run, report_progress=ignore_progress), step=step),
-        time.monotonic(),
-    )
+        why = HostError(f"{step.task} is not where the plan has it")
+        return end_copy_step(step, copy, Outcome.SKIPPED, why)
+    began = time.monotonic()
+    act = StepRun(run=dataclasses.replace(run, report_progress=ignore_progress), step=step)
     error, outcome = None, Outcome.DONE
     try:
         generation = {} if copy.action is StandbyAction.STOP else {"generation": act.generation}
@@ -81,7 +80,7 @@ def perform_copy_step(
         action=copy.action.value,
         outcome=outcome.value,
         seconds=round(ended.seconds, 4),
-        error=error,
+        error=ended.error,
     )
     return ended
 

@@ -11,6 +11,7 @@ from edgectl.executor.action_phases import PlannedPhase
 from edgectl.executor.host_requests import Request
 from edgectl.executor.step_run import StepRun
 from edgectl.model.result import Phase
+from edgectl.model.standby import is_standby_entry
 from edgectl.model.text import clean_text
 from edgectl.state.lock import describe_manager
 
@@ -25,12 +26,15 @@ _DONE_STATES = {
 class SwitchError(HostError):
     """The host answered that the instance did not become what was asked for.
 
-    ``active``: whether it is proven to be active as before.
+    ``active``: it is proven to be active again; ``inactive``: proven to be inactive again.
     """
 
-    def __init__(self, message: str, *, hint: str = "", host: str, active: bool) -> None:
+    def __init__(
+        self, message: str, *, hint: str = "", host: str, active: bool = False, inactive: bool = False
+    ) -> None:
         super().__init__(message, hint=hint, host=host)
         self.active = active
+        self.inactive = inactive
 
 
 def switch_instance(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str]) -> None:
@@ -123,6 +127,7 @@ def _check_answer(act: StepRun, planned: PlannedPhase, answer: Request) -> None:
         hint=f"edgectl logs {act.name}",
         host=planned.host.name,
         active=answer.get("active_again") is True,
+        inactive=is_standby_entry(answer),
     )
 
 

@@ -97,8 +97,13 @@ def _activate_new(swap: _Swap, go_active: Callable[[], None], ready: PlannedPhas
 
 
 def _withdraw_new(swap: _Swap, cause: HostError) -> HandoffError:
-    """Stop the copy, with proof, and activate the old instance: two at once would be worse than none."""
+    """Stop the copy, with proof, and activate the old instance: two at once would be worse than none.
+
+    A copy whose activation failed and was undone stays as it was.
+    """
     swap.act.begin_recovery()
+    if isinstance(cause, SwitchError) and cause.inactive:
+        return _restore_old(swap, cause)
     stop = build_stop_phase(swap.act.name, swap.task, swap.new, swap.act.run.inventory, instance=None)
     try:
         perform_phase(swap.act, stop)

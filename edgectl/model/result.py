@@ -103,5 +103,5 @@ class Results:
     @property
     def done(self) -> bool:
         """Whether every action was carried out."""
-        outcomes = [each.outcome for each in (*self.actions, *self.standbys)]
+        outcomes = [action.outcome for action in self.actions] + [copy.outcome for copy in self.standbys]
         return not self.interrupted and all(outcome is Outcome.DONE for outcome in outcomes)

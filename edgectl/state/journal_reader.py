@@ -72,10 +72,8 @@ class JournalSummary:
             self.begun.add(str(entry.get("plan")))
         elif event == "continued" and isinstance(names := entry.get("applied"), list):
             self.before.update(map(str, names))
-        elif event == "intent":
-            self._take_intent(task, entry.get("generation"))
-        elif event == "copy" and isinstance(generation := entry.get("generation"), int):
-            self.generations[task] = max(self.generations.get(task, 0), generation + 1)
+        elif event in ("intent", "copy"):
+            self._take_intent(event, task, entry.get("generation"))
         elif event == "phase":
             self._take_phase(task, entry)
         elif event == "commit":
@@ -87,8 +85,10 @@ class JournalSummary:
         if event in ("placed", "recovered"):
             self.located.clear()
 
-    def _take_intent(self, task: str, generation: object) -> None:
-        self._unfinished[task] = None
+    def _take_intent(self, event: object, task: str, generation: object) -> None:
+        """An action, or an inactive copy: nothing is unfinished where that is interrupted."""
+        if event == "intent":
+            self._unfinished[task] = None
         if isinstance(generation, int):
             self._intended[task] = generation
             self.generations[task] = max(self.generations.get(task, 0), generation + 1)

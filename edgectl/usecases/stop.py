@@ -13,7 +13,7 @@ from edgectl.executor.operator_plans import (
 )
 from edgectl.model.plan import Action, Plan
 from edgectl.model.snapshot import Snapshot
-from edgectl.names import check_known_names
+from edgectl.names import check_known_names, natural_key
 from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.plan import make_plan
@@ -126,8 +126,12 @@ def _check_task_names(fleet: Fleet, names: Sequence[str], snapshot: Snapshot) ->
 
 
 def _list_known_tasks(snapshot: Snapshot) -> dict[str, object]:
-    """The tasks that run, or may run on a silent host or at a lost place."""
+    """The tasks that run or wait inactive, or may run on a silent host or at a lost place."""
+    copies = {
+        name for host in snapshot.hosts.values() for name, copy in host.standbys.items() if copy.managed
+    }
     return {
+        **dict.fromkeys(sorted(copies, key=natural_key)),
         **list_running_instances(snapshot),
         **list_unseen_placements(snapshot),
         **list_lost_tasks(snapshot),
