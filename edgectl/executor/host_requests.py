@@ -9,7 +9,7 @@ from edgectl.model.inventory import Host
 from edgectl.model.standby import Activation
 from edgectl.model.task import StopRule, Task
 from edgectl.rules.environment import drop_secrets, merge_environment
-from edgectl.rules.ros import encode_question, encode_ros
+from edgectl.rules.ros import encode_question, encode_ros, fill_host_name
 
 Request = dict[str, object]
 Hosts = Mapping[str, Host]
@@ -74,7 +74,7 @@ def _encode_activation(task: Task, rule: Activation, host: Host) -> Request:
     return {
         "activate": None if rule.activate is None else _encode_check(rule.activate, host),
         "deactivate": None if rule.deactivate is None else _encode_check(rule.deactivate, host),
-        "lifecycle": rule.lifecycle,
+        "lifecycle": None if rule.lifecycle is None else fill_host_name(rule.lifecycle, host),
         "ready": None if rule.ready is None else _encode_check(rule.ready, host),
         "up_s": task.up,
     }

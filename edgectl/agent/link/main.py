@@ -44,6 +44,10 @@ def serve_request(request: bytes, channel: "Channel", bases: "list[str]") -> Non
 
             return follow_log(document, channel)
         operation = _find_operation(document["op"])
+        if document["op"] in protocol.HELD_OPS:
+            from .hold import Hold
+
+            document["hold"] = Hold(channel, float(document["await_go_s"]))
         if _needs_lease(document):
             from ..supervise.lease import perform_within_lease
 

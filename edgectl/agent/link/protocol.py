@@ -41,6 +41,8 @@ CHANGING_OPS = (
     *(OP_START, OP_STOP, OP_MARK, OP_CHECK, OP_TAKE_OVER, OP_FORGET),
     *(OP_ACTIVATE, OP_DEACTIVATE),
 )
+# Those among them that may wait for ``go``.
+HELD_OPS = (OP_ACTIVATE, OP_DEACTIVATE)
 SIGNATURE_KEYS = ("holder", "session", "epoch")
 # Name of the record of the lease in the directory of the fleet.
 LEASE_FILE = "lease"
