@@ -29,7 +29,8 @@ class Activation:
 class StandbyRule:
     """Standby level ``warm``: ``hosts`` hosts besides the task's own keep a started, inactive copy.
 
-    ``demand``: what one copy needs while it is inactive; of CPU and memory alone.
+    ``demand``: what one copy needs while it is inactive; of CPU and memory alone. Memory that is not stated
+    is as much as that of the task, CPU none.
     """
 
     activation: Activation
