@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -26,7 +27,7 @@ _PAIR = Activation(
 )
 
 
-def a_standby_task(name: str = "slam", **fields: object) -> Task:
+def a_standby_task(name: str = "slam", **fields: Any) -> Task:
     return a_task(name, spec_hash=f"hash-{name}", standby=StandbyRule(activation=_PAIR), **fields)
 
 
@@ -36,14 +37,14 @@ def a_copy(
     return StandbyStep(host=host, action=action, reason=reason, instance=instance)
 
 
-def a_host(*, task: str = "", copy: str = "", spec_hash: str = "hash-slam", **fields: object) -> HostSample:
+def a_host(*, task: str = "", copy: str = "", spec_hash: str = "hash-slam", **fields: Any) -> HostSample:
     """A host that has instance ``task`` of slam, or the inactive ``copy``."""
     run = a_run(TaskState.READY, instance=task or copy, spec_hash=spec_hash, **fields)
     sample = a_sample(tasks={"slam": run} if task else {})
     return dataclasses.replace(sample, standbys={"slam": run} if copy else {})
 
 
-def plan_move(*, copy: bool, stays: bool = True, **fields: object) -> Plan:
+def plan_move(*, copy: bool, stays: bool = True, **fields: Any) -> Plan:
     """slam moves from edge1 to edge2, where a copy may wait."""
     standbys = (a_copy(StandbyAction.DEACTIVATE, "edge1", "old"),) if stays else ()
     hosts = {"edge1": a_host(task="old", **fields), "edge2": a_host(copy="copy") if copy else a_sample()}
@@ -67,7 +68,7 @@ def list_active(fleet: FakeFleet) -> set[str]:
     return fleet.world.alive.get("slam", set())
 
 
-HOOKS = {
+HOOKS: dict[str, Any] = {
     "safe_when": Check(command="safe", on=CheckLocation.ROBOT),
     "hold": Check(command="hold", on=CheckLocation.ROBOT),
     "release": Check(command="release", on=CheckLocation.ROBOT),
@@ -204,7 +205,7 @@ def test_a_copy_that_does_not_get_ready_is_a_failure_and_touches_nothing(
 
 @pytest.mark.parametrize("fields", [{"spec_hash": "other"}, {"orphaned": True}])
 def test_an_instance_that_may_not_know_how_moves_cold(
-    fleet: FakeFleet, journal: Journal, fields: dict[str, object]
+    fleet: FakeFleet, journal: Journal, fields: dict[str, Any]
 ) -> None:
     fleet["edge1"].runs("slam", role="active")
     fleet["edge2"].waits("slam")
