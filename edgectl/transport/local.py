@@ -156,7 +156,7 @@ class LocalExchange:
     def write(self, data: bytes, *, timeout: float) -> None:
         """Write ``data``; a process that has ended is no error. Raises DeadlineError."""
         pipe, deadline = self._process.stdin, time.monotonic() + timeout
-        if pipe is None:
+        if pipe is None or pipe.closed:
             return
         os.set_blocking(pipe.fileno(), False)
         with contextlib.suppress(BrokenPipeError):

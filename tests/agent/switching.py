@@ -39,7 +39,7 @@ class Ticker:
     """The task ``slam`` on one host. ``rule``: keys of its activation in place of the usual ones."""
 
     def __init__(self, host: AgentHost, folder: Path, **rule: Any) -> None:
-        self.host, self.folder = host, folder
+        self.host, self.folder, self.instance = host, folder, "i1"
         (folder / "ticker.py").write_text(TICKER)
         self.command = f"exec {sys.executable} -S {folder}/ticker.py {folder}"
         ready = a_check(f"test -e {folder}/up", 5.0)
@@ -53,12 +53,19 @@ class Ticker:
 
     def start(self, role: str = "standby", *, instance: str = "i1", **spec: Any) -> dict[str, Any]:
         (self.folder / "up").unlink(missing_ok=True)
+        self.instance = instance
         return self.host.ask(
             "start", task="slam", instance=instance, generation=1, role=role, spec=self.spec(**spec)
         )
 
     def request(self, op: str, **fields: Any) -> dict[str, Any]:
-        wanted = {"task": "slam", "instance": "i1", "generation": 1, "manager": "ana", "await_go_s": 0.0}
+        wanted = {
+            "task": "slam",
+            "instance": self.instance,
+            "generation": 1,
+            "manager": "ana",
+            "await_go_s": 0.0,
+        }
         return {**wanted, "spec": self.spec(), **fields}
 
     def switch(self, op: str, **fields: Any) -> dict[str, Any]:

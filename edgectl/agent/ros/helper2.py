@@ -207,13 +207,15 @@ class Lifecycles:
 
     def _change(self, node: str, name: str, until: float) -> str:
         transition, goal = _TRANSITIONS[name]
-        state, fault = self._read_state(node, until)
-        if fault or state == goal:
-            return fault
-        if name == "configure" and state != "unconfigured":
-            return "node %s is %s: it is to wait for its activation" % (node, state)
+        if name == "configure":
+            state, fault = self._read_state(node, until)
+            if fault or state == goal:
+                return fault
+            if state != "unconfigured":
+                return "node %s is %s: it is to wait for its activation" % (node, state)
         request = self._clients[node]["change_state"][1].Request()
         request.transition.id = transition
+        # It also declines because it is in the new state already: that counts, not its answer.
         if self._call(node, "change_state", request, until) is None:
             return "node %s does not answer" % node
         state, fault = self._read_state(node, until)

@@ -58,9 +58,12 @@ class HeldShell:
             self._drain()
             left_s = max(0.0, min(_LAST_LOOK_S, deadline - time.monotonic()))
             if select.select([self._gate], [], [], left_s)[0]:
-                return "" if self._gate.recv(1) else "its environment cannot be prepared: " + self.read_end()
+                if self._gate.recv(1):
+                    return ""
+                self._drain()
+                return "its shell has ended: " + (self.read_end() or "it printed nothing")
             if time.monotonic() >= deadline:
-                return "its environment was not prepared within %g s" % patience_s
+                return "its shell was not prepared within %g s" % patience_s
 
     def go(self, timeout_s: float) -> None:
         """Run the command, for at most ``timeout_s``."""

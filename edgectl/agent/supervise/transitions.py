@@ -52,7 +52,7 @@ class CommandTransition(Transition):
         fault = self._shell.await_prepared(_PREPARE_S)
         if fault:
             self.end_command()
-            raise RefusalError("not-prepared", "a command cannot be prepared: " + fault)
+            raise RefusalError("not-prepared", "the command cannot be prepared: " + fault)
 
     def run(self) -> str:
         """As ``Transition.run``."""
