@@ -18,14 +18,14 @@ from tests.handoffs.subscriber import Subscriber
 TASK = "steer"
 
 
-def a_node_task(folder: Path, subscriber: Subscriber, *, python: str = "python3", **fields: object) -> Task:
+def a_node_task(folder: Path, address: str, port: int, **fields: object) -> Task:
     """The node, whose files are in ``folder`` by the name of the host."""
     here = f"{shlex.quote(str(folder))}/$EDGECTL_HOST"
     program = shlex.quote(str(Path(node.__file__)))
     task = a_task(
         TASK,
         cpu=0.5,
-        command=f"exec {python} {program} {here} $EDGECTL_HOST {subscriber.address} {subscriber.port}",
+        command=f"exec python3 {program} {here} $EDGECTL_HOST {address} {port}",
         standby=StandbyRule(
             activation=Activation(
                 activate=Check(command=say_word(here, "wake"), timeout=10.0),

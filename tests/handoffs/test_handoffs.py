@@ -21,7 +21,12 @@ def scene(tmp_path: Path, isolated: Path) -> Iterator[Scene]:
         listen("127.0.0.193") as subscriber,
         open_bench(inventory, tmp_path / "manager", isolated) as bench,
     ):
-        yield Scene(bench, tuple(ADDRESSES), a_node_task(tmp_path / "node", subscriber), subscriber)
+        yield Scene(
+            bench,
+            tuple(ADDRESSES),
+            a_node_task(tmp_path / "node", subscriber.address, subscriber.port),
+            subscriber,
+        )
 
 
 def test_a_task_moves_by_activation_and_never_two_are_active(scene: Scene) -> None:
