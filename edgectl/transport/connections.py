@@ -279,6 +279,13 @@ class BackoffTransport:
         """As the transport's own."""
         return self._transport.address(host)
 
+    def extend_rest(self, name: str, seconds: float) -> None:
+        """Let a host rest for ``seconds`` from now if its last attempt failed."""
+        rest = self._resting.get(name)
+        if rest is not None:
+            until = max(rest.until, self._clock() + seconds)
+            self._resting[name] = _Rest(error=rest.error, failures=rest.failures, until=until)
+
     @contextlib.contextmanager
     def _note_outcome(self, name: str) -> Iterator[None]:
         try:
