@@ -9,6 +9,7 @@ import os
 import signal
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -70,20 +71,26 @@ def kill_during(ticker: Ticker, op: str, moment_s: float, find: Callable[[HeldCa
         held.go()
         time.sleep(moment_s)
         for pid in pids:
-            os.kill(pid, signal.SIGKILL)
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
         try:
             held.wait()
         except HostError:
             return
 
 
+@pytest.mark.parametrize("command", ["command lives", "command too"])
 @pytest.mark.parametrize("op", ["activate", "deactivate"])
-def test_an_agent_that_is_killed_at_any_moment(slow: Ticker, op: str) -> None:
+def test_an_agent_that_is_killed_at_any_moment(slow: Ticker, op: str, command: str) -> None:
     """The supervisor goes on where the record says active; a repeated request finds everything as it asks."""
     outcomes = set()
-    for moment_s in MOMENTS:
+
+    def find(held: HeldCall) -> list[int]:
+        return [find_agent(held), *(list_shells(slow.host) if command == "command too" else [])]
+
+    for moment_s in MOMENTS[:: 1 if command == "command too" else 2]:
         slow.switch("deactivate" if op == "activate" else "activate")
-        kill_during(slow, op, moment_s, lambda held: [find_agent(held)])
+        kill_during(slow, op, moment_s, find)
         outcomes.add(slow.role())
         assert_safe(slow)
         wanted = eventually(lambda: r[0] if not (r := slow.role())[1] and is_settled(slow.host) else None)
