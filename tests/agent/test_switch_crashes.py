@@ -23,7 +23,7 @@ from tests.agent.conftest import AgentHost, eventually
 from tests.agent.switching import ACTIVATE, DEACTIVATE, Ticker, a_check
 
 # Seconds after go. The command of the test takes 10 ms, and so does each side of it on a slow machine.
-MOMENTS = [0.0, 0.001, 0.002, 0.003, 0.005, 0.007, 0.009, 0.012, 0.015, 0.02, 0.03]
+MOMENTS = [0.0, 0.002, 0.004, 0.006, 0.008, 0.011, 0.015, 0.025, 0.05, 0.25]
 SLOWLY = "sleep 0.005; {}; sleep 0.005"
 
 
@@ -88,7 +88,7 @@ def test_an_agent_that_is_killed_at_any_moment(slow: Ticker, op: str, command: s
     def find(held: HeldCall) -> list[int]:
         return [find_agent(held), *(list_shells(slow.host) if command == "command too" else [])]
 
-    for moment_s in MOMENTS[:: 1 if command == "command too" else 2]:
+    for moment_s in MOMENTS[:: 1 if command == "command too" else 3]:
         slow.switch("deactivate" if op == "activate" else "activate")
         kill_during(slow, op, moment_s, find)
         outcomes.add(slow.role())
@@ -106,7 +106,7 @@ def test_an_agent_that_is_killed_at_any_moment(slow: Ticker, op: str, command: s
 def test_a_supervisor_or_process_that_is_killed_at_any_moment(slow: Ticker, op: str, victims: str) -> None:
     """What is left of the task is stopped, and its next instance is inactive."""
     host = slow.host
-    for number, moment_s in enumerate(MOMENTS[1::3]):
+    for number, moment_s in enumerate(MOMENTS[1::4]):
         if op == "deactivate":
             slow.switch("activate")
         entry = host.entry("slam")
