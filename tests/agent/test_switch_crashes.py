@@ -9,6 +9,7 @@ import os
 import signal
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -22,7 +23,7 @@ from tests.agent.conftest import AgentHost, eventually
 from tests.agent.switching import ACTIVATE, DEACTIVATE, Ticker, a_check
 
 # Seconds after go. The command of the test takes 10 ms, and so does each side of it on a slow machine.
-MOMENTS = [0.0, 0.001, 0.002, 0.003, 0.005, 0.007, 0.009, 0.012, 0.015, 0.02, 0.03]
+MOMENTS = [0.0, 0.002, 0.004, 0.006, 0.008, 0.011, 0.015, 0.025, 0.05, 0.25]
 SLOWLY = "sleep 0.005; {}; sleep 0.005"
 
 
@@ -70,20 +71,26 @@ def kill_during(ticker: Ticker, op: str, moment_s: float, find: Callable[[HeldCa
         held.go()
         time.sleep(moment_s)
         for pid in pids:
-            os.kill(pid, signal.SIGKILL)
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
         try:
             held.wait()
         except HostError:
             return
 
 
+@pytest.mark.parametrize("command", ["command lives", "command too"])
 @pytest.mark.parametrize("op", ["activate", "deactivate"])
-def test_an_agent_that_is_killed_at_any_moment(slow: Ticker, op: str) -> None:
+def test_an_agent_that_is_killed_at_any_moment(slow: Ticker, op: str, command: str) -> None:
     """The supervisor goes on where the record says active; a repeated request finds everything as it asks."""
     outcomes = set()
-    for moment_s in MOMENTS:
+
+    def find(held: HeldCall) -> list[int]:
+        return [find_agent(held), *(list_shells(slow.host) if command == "command too" else [])]
+
+    for moment_s in MOMENTS[:: 1 if command == "command too" else 3]:
         slow.switch("deactivate" if op == "activate" else "activate")
-        kill_during(slow, op, moment_s, lambda held: [find_agent(held)])
+        kill_during(slow, op, moment_s, find)
         outcomes.add(slow.role())
         assert_safe(slow)
         wanted = eventually(lambda: r[0] if not (r := slow.role())[1] and is_settled(slow.host) else None)
@@ -99,7 +106,7 @@ def test_an_agent_that_is_killed_at_any_moment(slow: Ticker, op: str) -> None:
 def test_a_supervisor_or_process_that_is_killed_at_any_moment(slow: Ticker, op: str, victims: str) -> None:
     """What is left of the task is stopped, and its next instance is inactive."""
     host = slow.host
-    for number, moment_s in enumerate(MOMENTS[1::3]):
+    for number, moment_s in enumerate(MOMENTS[1::4]):
         if op == "deactivate":
             slow.switch("activate")
         entry = host.entry("slam")
