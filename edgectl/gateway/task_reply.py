@@ -16,8 +16,6 @@ from edgectl.model.snapshot import (
     TaskState,
 )
 
-# Role of an instance that was proven to be inactive.
-STANDBY_ROLE = "standby"
 # Larger ones overflow in a mean or a deviation.
 _MAX_METRIC = 1e100
 # Of one host, those that it only remembers included.
@@ -80,7 +78,7 @@ def separate_standbys(
 
 
 def _is_standby(entry: object) -> bool:
-    if not isinstance(entry, dict) or entry.get("role") != STANDBY_ROLE:
+    if not isinstance(entry, dict) or entry.get("role") != protocol.ROLE_STANDBY:
         return False
     return entry.get("switching", False) is False
 
