@@ -156,7 +156,7 @@ CASES = [
         for name, new, at, code, message, hint, mended in [
             ("half a pair", "{save: a}", "{save: a}", "EC011", "state needs save and load, or topic", "load: COMMAND", "{save: a, load: b}"),
             ("both ways", "{save: a, load: b, topic: /map}", "save: a", "EC033", "save and topic do not go together", "remove save or topic", "{topic: /map}"),
-            ("a word", "all", "all\n", "EC010", "state", "", "{topic: /map}"),
+            ("a word", "all", "all\n    demand", "EC010", "state", "", "{topic: /map}"),
             ("on the robot", "{save: {command: a, on: robot}, load: b}", "on: robot}, load", "EC033", "save runs on the host of the instance", "remove on: robot", "{save: a, load: b}"),
             ("no size", "{topic: /map, max_size: 0}", "0}\n", "EC015", "must be above 0", "write a quantity above 0", "{topic: /map, max_size: 1Mi}"),
             ("unknown moment", "{save: a, load: b, save_when: activ}", "activ}", "EC013", "unknown word 'activ'", "did you mean active?", "{save: a, load: b, save_when: active}"),
