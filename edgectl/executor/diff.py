@@ -3,13 +3,14 @@
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
+from edgectl.executor.operator_plans import stop_copies
 from edgectl.model.assignment import Assignment, Decision, Reason, Verdict
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
-from edgectl.model.standby_plan import StandbyAction, StandbyReason, StandbyStep
+from edgectl.model.standby_plan import StandbyReason
 from edgectl.model.task import Tasks
 from edgectl.names import natural_key
 from edgectl.rules.need_runs import find_restarted_need, list_followed_needs, mark_run
@@ -260,10 +261,7 @@ def _build_removal_step(
         action=Action.STOP if found else Action.NONE,
         instances={host: sample.instance for host, sample in found.items()},
         stop=tuple(other for other in found if other != host),
-        standbys=tuple(
-            StandbyStep(
-                host=place, action=StandbyAction.STOP, reason=StandbyReason.LEFT_FILE, instance=copy.instance
-            )
-            for place, copy in copies.items()
+        standbys=stop_copies(
+            {place: copy.instance for place, copy in copies.items()}, StandbyReason.LEFT_FILE
         ),
     )

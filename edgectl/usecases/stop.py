@@ -8,12 +8,13 @@ from edgectl.executor.operator_plans import (
     build_restart_plan,
     build_stop_plan,
     drop_given_up_runs,
+    list_copies,
     list_running_instances,
     list_unseen_placements,
 )
 from edgectl.model.plan import Action, Plan
 from edgectl.model.snapshot import Snapshot
-from edgectl.names import check_known_names, natural_key
+from edgectl.names import check_known_names
 from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.plan import make_plan
@@ -126,12 +127,9 @@ def _check_task_names(fleet: Fleet, names: Sequence[str], snapshot: Snapshot) ->
 
 
 def _list_known_tasks(snapshot: Snapshot) -> dict[str, object]:
-    """The tasks that run or wait inactive, or may run on a silent host or at a lost place."""
-    copies = {
-        name for host in snapshot.hosts.values() for name, copy in host.standbys.items() if copy.managed
-    }
+    """The tasks that run or wait, or may run on a silent host or at a lost place."""
     return {
-        **dict.fromkeys(sorted(copies, key=natural_key)),
+        **list_copies(snapshot),
         **list_running_instances(snapshot),
         **list_unseen_placements(snapshot),
         **list_lost_tasks(snapshot),

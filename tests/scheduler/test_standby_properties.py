@@ -27,7 +27,7 @@ from tests.builders import (
     some_tasks,
 )
 from tests.scheduler.fleets import decisions_by_task, simulate_apply
-from tests.scheduler.test_properties import Case, cases, shares
+from tests.scheduler.test_properties import Case, Value, cases, shares
 
 quick = settings(max_examples=settings().max_examples * 3 // 5)
 
@@ -289,8 +289,8 @@ def without_use(case: Case) -> Case:
 @quick
 @given(standby_cases)
 def test_the_order_of_the_files_is_irrelevant(case: Case) -> None:
-    def turn(mapping: Mapping[str, object]) -> dict[str, object]:
-        return dict(reversed(mapping.items()))
+    def turn(mapping: Mapping[str, Value]) -> dict[str, Value]:
+        return dict(reversed(list(mapping.items())))
 
     other = replace(
         case,
