@@ -1,17 +1,18 @@
 """Readers of standby copies and of the state that a move takes along; tables of their keys."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from edgectl.config.check_readers import check_reader, hook_reader, read_ros_name
-from edgectl.config.demand_readers import DEMAND_KEYS
 from edgectl.config.fields import Fields, read_fields, record_reader
 from edgectl.config.node import Node
 from edgectl.config.problems import ProblemCode, Problems
+from edgectl.config.quantities import demand_parser
 from edgectl.config.scalars import INVALID, NodeReader, enum_reader, integer_reader, quantity_reader
 from edgectl.config.schema import build_object_schema, describe_as
-from edgectl.model.check import CheckLocation
+from edgectl.model.check import Check, CheckLocation
 from edgectl.model.demand import Demand
+from edgectl.model.resource import CPU, MEMORY
 from edgectl.model.standby import Activation, SaveMoment, StandbyRule, StateRule
 from edgectl.units import parse_bytes
 
@@ -41,7 +42,8 @@ def read_standby(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     if not isinstance(node.value, dict) or not _check_pair(fields, problems):
         return INVALID
     values = fields.values
-    demand = {key: values[key] for key in _DEMAND_KEYS if key in values}
+    _check_locations(fields, ("activate", "deactivate", "ready"), problems)
+    demand = {each.name: values[each.demand_key] for each in _DEMAND_RESOURCES if each.demand_key in values}
     activation = Activation(
         activate=values.get("activate"),
         deactivate=values.get("deactivate"),
@@ -67,6 +69,16 @@ def _check_pair(fields: Fields, problems: Problems) -> bool:
     return "ros_lifecycle" in fields.values or all(key in fields.values for key in pair)
 
 
+def _check_locations(fields: Fields, keys: Iterable[str], problems: Problems) -> None:
+    """These commands act on an instance, so they run where it is."""
+    for key in keys:
+        check = fields.values.get(key)
+        if isinstance(check, Check) and check.on is CheckLocation.ROBOT:
+            message = f"{key} runs on the host of the instance, not on the robot"
+            mark = fields.at(key).key_mark("on")
+            problems.add(mark, ProblemCode.CONTRADICTION, message, "remove on: robot")
+
+
 @describe_as(
     lambda: (
         build_object_schema(STATE_KEYS) | {"anyOf": [{"required": ["save", "load"]}, {"required": ["topic"]}]}
@@ -89,17 +101,21 @@ def read_state(node: Node, problems: Problems) -> Any:  # noqa: ANN401
         return INVALID
     if not all(key in fields.values for key in (*commands, *(["topic"] if "topic" in fields else []))):
         return INVALID
+    _check_locations(fields, commands, problems)
     return StateRule(**{_STATE_FIELDS[key]: value for key, value in fields.values.items()})
 
 
-_DEMAND_KEYS = ("cpu", "memory")
+_DEMAND_RESOURCES = (CPU, MEMORY)
 STANDBY_KEYS: Mapping[str, NodeReader] = {
     "warm": record_reader({"hosts": integer_reader(1, MAX_STANDBY_HOSTS)}, lambda hosts=1: hosts, "warm"),
     "activate": hook_reader(CheckLocation.HOST),
     "deactivate": hook_reader(CheckLocation.HOST),
     "ros_lifecycle": read_ros_name,
     "ready": check_reader(CheckLocation.HOST),
-    **{key: DEMAND_KEYS[key] for key in _DEMAND_KEYS},
+    **{
+        resource.demand_key: quantity_reader(demand_parser(resource.unit.parse, resource.unit.example))
+        for resource in _DEMAND_RESOURCES
+    },
 }
 STATE_KEYS: Mapping[str, NodeReader] = {
     "save": hook_reader(CheckLocation.HOST),

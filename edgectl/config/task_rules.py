@@ -11,7 +11,7 @@ from edgectl.config.task_file import EXCLUSIVE_KEYS, TaskDraft, TaskTemplate
 from edgectl.model.check import Check, CheckLocation, OnUnhealthy
 from edgectl.model.demand import Demand
 from edgectl.model.resource import RESOURCES
-from edgectl.model.task import OnboardRule, RestartPolicy, TaskKind, UnreachablePolicy
+from edgectl.model.task import HandoffOrder, OnboardRule, RestartPolicy, TaskKind, UnreachablePolicy
 from edgectl.units import format_duration
 
 # Heartbeats leave every quarter of self_fence, and those of one second count as one on the manager's disk.
@@ -106,6 +106,10 @@ def _check_standby(fields: Fields, problems: Problems) -> None:
     if fields.values.get("onboard") is OnboardRule.ONLY:
         message = "standby and onboard: only do not go together: no other host may run the task"
         problems.add(mark, ProblemCode.CONTRADICTION, message, "remove standby, or onboard: only")
+    handoff = fields.values.get("handoff")
+    if handoff is not None and handoff.order is HandoffOrder.START_FIRST:
+        message = "standby and order: start-first do not go together: two instances are never active at once"
+        problems.add(mark, ProblemCode.CONTRADICTION, message, "remove standby, or order: start-first")
 
 
 def _check_self_fence(fields: Fields, problems: Problems) -> None:

@@ -4,15 +4,15 @@ from collections.abc import Iterable, Mapping
 
 from edgectl.dataclass import dataclass
 from edgectl.errors import HostError
-from edgectl.executor import host_requests, state_requests
-from edgectl.executor.dependencies import find_replacement_hold, is_replacement, list_stop_hosts
+from edgectl.executor import host_requests
+from edgectl.executor.dependencies import list_stop_hosts
 from edgectl.model.assignment import Verdict
 from edgectl.model.check import Check, CheckLocation
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.result import Phase
 from edgectl.model.snapshot import TaskSample, TaskState
-from edgectl.model.task import HandoffOrder, Need, NeedCondition, Task, Tasks
+from edgectl.model.task import Need, NeedCondition, Task, Tasks
 
 # One wait request lasts at most so long, so that a lost connection is not mistaken for a slow task.
 WAIT_PIECE_S = 15.0
@@ -62,28 +62,6 @@ class PlannedPhase:
 PlannedPhases = tuple[PlannedPhase, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StartPhases:
-    """The phases of a start, move or restart.
-
-    ``needs``: waits for predecessors. ``prepare``: is the host there, is it safe; nothing is touched yet.
-    ``hold`` and ``release``: hooks of the handoff. ``carry``: its state is brought to the new host.
-    ``change``: stop, start and ready in the order of the handoff.
-    """
-
-    needs: PlannedPhases
-    prepare: PlannedPhases
-    hold: PlannedPhases = ()
-    carry: PlannedPhases = ()
-    change: PlannedPhases
-    release: PlannedPhases = ()
-
-    @property
-    def in_order(self) -> PlannedPhases:
-        """All phases as they are performed where none fails."""
-        return (*self.needs, *self.prepare, *self.hold, *self.carry, *self.change, *self.release)
-
-
 def build_stop_phases(step: Step, inventory: Inventory, tasks: Tasks) -> PlannedPhases:
     """What a step stops before anything starts.
 
@@ -114,42 +92,6 @@ def build_adopt_phases(step: Step, inventory: Inventory, tasks: Tasks) -> Planne
     return (PlannedPhase(phase=Phase.ADOPT, task=task.name, requests=(request,)),)
 
 
-def build_start_phases(
-    step: Step, task: Task, needs: Iterable[Need], plan: Plan, inventory: Inventory, tasks: Tasks
-) -> StartPhases:
-    """The phases of a starting step (one with a host) of ``plan``; ``needs``: the predecessors to wait for.
-
-    Raises:
-        HostError: a predecessor does not run, or a host left the inventory or is never contacted.
-    """
-    new, old = step.decision.host or "", step.decision.previous_host
-    waits = _build_need_phases(needs, plan, inventory, tasks)
-    prepare = (build_reach_phase(task.name, new, inventory),)
-    start = build_run_phases(task, new, inventory)
-    if step.action is Action.START and not is_replacement(step):
-        return StartPhases(needs=waits, prepare=prepare, change=start)
-    release = build_hook_phases(Phase.RELEASE, task, task.handoff.release, new, inventory)
-    if is_replacement(step):
-        hold = build_hook_phases(Phase.HOLD, task, find_replacement_hold(task), new, inventory)
-        return StartPhases(needs=waits, prepare=prepare, hold=hold, change=start, release=release)
-    old = old or new
-    instance = step.instances.get(old)
-    carry: PlannedPhases = ()
-    if old != new and task.state is not None:
-        carry = build_carry_phases(task, old, new, inventory, instance=instance)
-        start = build_run_phases(task, new, inventory, carried=True)
-    stop = build_stop_phase(task.name, task, old, inventory, instance=instance, carried=bool(carry))
-    start_first = old != new and task.handoff.order is HandoffOrder.START_FIRST
-    return StartPhases(
-        needs=waits,
-        prepare=(*prepare, *_build_safe_phases(task, old, inventory)),
-        hold=build_hook_phases(Phase.HOLD, task, task.handoff.hold, old, inventory),
-        carry=carry,
-        change=(*start, stop) if start_first else (stop, *start),
-        release=release,
-    )
-
-
 def build_reach_phase(task: str, host_name: str, inventory: Inventory) -> PlannedPhase:
     """Make sure that a host answers before anything is done for its sake."""
     host = get_host(inventory, host_name)
@@ -165,17 +107,14 @@ def build_stop_phase(
     *,
     instance: str | None,
     lease_s: float = 0.0,
-    carried: bool = False,
 ) -> PlannedPhase:
     """Stop a task on a host and have it proven gone; ``task`` is None where it left the files.
 
-    ``lease_s``: how long a graph of ROS 2 is asked until it has forgotten the nodes. ``carried``: the state
-    that was saved there is kept.
+    ``lease_s``: how long a graph of ROS 2 is asked until it has forgotten the nodes.
     """
     host = get_host(inventory, host_name)
     lease_s = lease_s if host.ros is not None and host.ros.version == 2 else 0.0
     body = host_requests.build_stop_request(name, host, task=task, instance=instance, lease_s=lease_s)
-    body = {**body, "keep_state": True} if carried else body
     grace = task.stop.grace if task else _UNKNOWN_GRACE_S
     timeout_s = grace + lease_s + (_GRAPH_S if host.ros is not None else 0.0)
     return PlannedPhase(
@@ -184,59 +123,21 @@ def build_stop_phase(
 
 
 def build_run_phases(
-    task: Task, host_name: str, inventory: Inventory, *, phase: Phase = Phase.START, carried: bool = False
+    task: Task, host_name: str, inventory: Inventory, *, phase: Phase = Phase.START
 ) -> PlannedPhases:
     """Start a task on a host and wait until it is ready by its own check (up for its time, where it has
-    none). ``carried``: the state that is kept there is loaded in between.
+    none).
     """
     host = get_host(inventory, host_name)
     body = host_requests.build_start_request(task, host, inventory.hosts)
-    body = {**body, "keep_state": True} if carried else body
     start = PlannedPhase(phase=phase, task=task.name, requests=(PlannedRequest(host=host, body=body),))
-    load = build_load_phases(task, host_name, inventory, repeat=True) if carried else ()
-    return start, *load, _build_ready_phase(task, host, inventory)
+    return start, build_ready_phase(task, host, inventory)
 
 
-def build_carry_phases(
-    task: Task, old: str, new: str, inventory: Inventory, *, instance: str | None = None
-) -> PlannedPhases:
-    """Save the state of ``instance`` (None: the living one) on ``old``, and bring it to ``new``.
-
-    Nothing for a task without state.
-    """
-    if task.state is None:
-        return ()
-    source, target, hosts = get_host(inventory, old), get_host(inventory, new), inventory.hosts
-    seconds = state_requests.get_save(task.state).timeout
-    save = state_requests.build_save_request(task, task.state, source, hosts, instance)
-    pieces = (
-        PlannedRequest(host=target, body=state_requests.build_write_request(task.name, target)),
-        PlannedRequest(host=source, body=state_requests.build_read_request(task.name, source)),
-    )
-    request = PlannedRequest(host=source, body=save, timeout_s=seconds)
-    return (
-        PlannedPhase(phase=Phase.SAVE, task=task.name, requests=(request,)),
-        PlannedPhase(phase=Phase.TRANSFER, task=task.name, requests=pieces),
-    )
-
-
-def build_load_phases(task: Task, host_name: str, inventory: Inventory, *, repeat: bool) -> PlannedPhases:
-    """Give the state to the instance that was started last; nothing for a task without state.
-
-    ``repeat``: it was just started and may not take it yet, so ``load`` is repeated until its timeout.
-    """
-    if task.state is None:
-        return ()
-    host, seconds = get_host(inventory, host_name), state_requests.get_load(task.state).timeout
-    body = state_requests.build_load_request(task, task.state, host, inventory.hosts, repeat=repeat)
-    request = PlannedRequest(host=host, body=body, timeout_s=seconds)
-    return (PlannedPhase(phase=Phase.LOAD, task=task.name, requests=(request,)),)
-
-
-def _build_ready_phase(task: Task, host: Host, inventory: Inventory) -> PlannedPhase:
+def build_ready_phase(task: Task, host: Host, inventory: Inventory) -> PlannedPhase:
     """Wait on the host; a check on the robot is asked there, and its yes is marked on the host."""
     timeout = _get_ready_timeout(task)
-    requests = [_build_wait(task, host, host_requests.NO_INSTANCE, timeout)]
+    requests = [build_wait(task, host, host_requests.NO_INSTANCE, timeout)]
     if task.ready is not None and task.ready.on is CheckLocation.ROBOT:
         robot = _get_check_robot(task, inventory)
         body = host_requests.build_check_request(task, task.ready, robot, inventory.hosts)
@@ -253,19 +154,29 @@ def get_up_time(task: Task) -> float:
     return DEFAULT_UP_S if task.up is None else task.up
 
 
+def get_copy_up_time(task: Task) -> float:
+    """How long (s) an inactive copy must have run until it can be activated; 0 where that can be asked."""
+    rule = task.activation
+    if rule is None or rule.ready is not None or rule.lifecycle is not None:
+        return 0.0
+    return DEFAULT_UP_S if task.up is None else task.up
+
+
 def _get_ready_timeout(task: Task) -> float:
     return task.ready.timeout if task.ready else DEFAULT_READY_S + get_up_time(task)
 
 
-def _build_wait(task: Task, host: Host, instance: str, timeout_s: float) -> PlannedRequest:
+def build_wait(
+    task: Task, host: Host, instance: str, timeout_s: float, *, up_s: float | None = None
+) -> PlannedRequest:
+    """Wait on the host until an instance is ready; ``up_s``: of `build_wait_request`, None: the task's."""
     piece = min(WAIT_PIECE_S, timeout_s)
-    body = host_requests.build_wait_request(
-        task.name, host, instance=instance, timeout_s=piece, up_s=get_up_time(task)
-    )
+    up_s = get_up_time(task) if up_s is None else up_s
+    body = host_requests.build_wait_request(task.name, host, instance=instance, timeout_s=piece, up_s=up_s)
     return PlannedRequest(host=host, body=body, timeout_s=piece)
 
 
-def _build_safe_phases(task: Task, host_name: str, inventory: Inventory) -> PlannedPhases:
+def build_safe_phases(task: Task, host_name: str, inventory: Inventory) -> PlannedPhases:
     """Wait until a handoff is safe, at most its timeout."""
     rule = task.handoff.safe_when
     if rule is None:
@@ -289,10 +200,12 @@ def build_hook_phases(
     return (PlannedPhase(phase=phase, task=task.name, requests=(request,)),)
 
 
-def _build_need_phases(
-    needs: Iterable[Need], plan: Plan, inventory: Inventory, tasks: Tasks
-) -> PlannedPhases:
-    """A wait for each predecessor that neither the snapshot nor this plan settles."""
+def build_need_phases(needs: Iterable[Need], plan: Plan, inventory: Inventory, tasks: Tasks) -> PlannedPhases:
+    """A wait for each predecessor that neither the snapshot nor this plan settles.
+
+    Raises:
+        HostError: a predecessor does not run.
+    """
     steps = {step.task: step for step in plan.steps}
     known = [need for need in needs if need.task in steps and need.task in tasks.tasks]
     waits = tuple(
@@ -358,7 +271,7 @@ def _build_need_phase(need: Need, task: Task, step: Step, inventory: Inventory, 
         request, timeout = PlannedRequest(host=host, body=body), COMPLETION_S
     else:
         sample, timeout = _find_sample(plan, step), _get_ready_timeout(task)
-        request = _build_wait(task, host, sample.instance if sample else "", timeout)
+        request = build_wait(task, host, sample.instance if sample else "", timeout)
     return PlannedPhase(phase=Phase.NEEDS, task=need.task, requests=(request,), timeout_s=timeout)
 
 
@@ -381,7 +294,7 @@ def _get_check_robot(task: Task, inventory: Inventory) -> Host:
 
 
 def get_host(inventory: Inventory, name: str) -> Host:
-    """The host of this name.
+    """The host of that name.
 
     Raises:
         HostError: it left the inventory.

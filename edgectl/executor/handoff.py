@@ -3,6 +3,8 @@
 stop-first: safe? -> hold -> [save, transfer] -> stop old, verified gone -> start new -> [load] -> ready ->
 release.
 start-first: safe? -> hold -> [save, transfer] -> start new -> [load] -> ready -> stop old -> release.
+warm: start the copy, if there is none -> safe? -> hold -> deactivate old, verified -> activate new -> ready
+-> release -> the old one stays as a copy, or stops (``warm_move``).
 replacement of an instance that is gone with its unreachable host: hold -> start new -> ready -> release.
 
 What ends a handoff (taking the new instance away, putting the old one back, release) asks a host that was
@@ -13,35 +15,28 @@ the result reports it, and the next apply that gets an instance ready releases i
 """
 
 import time
+from collections.abc import Mapping
 
 from edgectl.errors import HostError, RefusedError
 from edgectl.executor.action_phases import (
     PlannedPhase,
-    StartPhases,
+    PlannedPhases,
     build_hook_phases,
     build_run_phases,
     build_stop_phase,
 )
 from edgectl.executor.concurrent_change import ConcurrentChangeError
+from edgectl.executor.handoff_error import HandoffError
 from edgectl.executor.phases import perform_phase, perform_phases, resolve_variables
+from edgectl.executor.start_phases import StartPhases
+from edgectl.executor.state_phases import build_carried_run_phases
 from edgectl.executor.state_transfer import drop_state
 from edgectl.executor.step_run import StepRun
+from edgectl.executor.switch import SwitchError
+from edgectl.executor.warm_move import swap_active_instance
 from edgectl.model.check import CheckLocation
 from edgectl.model.result import ActionResult, Outcome, Phase
 from edgectl.model.task import RestartPolicy, Task
-
-
-class _HandoffError(Exception):
-    """A failed handoff; ``located``: the host of the task now, ``steers``: a ready instance is there."""
-
-    def __init__(
-        self, error: HostError, located: str | None, *, steers: bool, downtime_s: float | None = None
-    ) -> None:
-        super().__init__(error.message)
-        self.error = error
-        self.located = located
-        self.steers = steers
-        self.downtime_s = downtime_s
 
 
 def move_task(act: StepRun, task: Task, planned: StartPhases) -> ActionResult:
@@ -56,11 +51,13 @@ def move_task(act: StepRun, task: Task, planned: StartPhases) -> ActionResult:
         perform_phases(act, planned.prepare)
         variables = resolve_variables(act, task, new)
     except HostError as error:
-        return act.end(Outcome.DEFERRED, located=old, error=error)
+        return act.end(_judge_preparation(act), located=old, error=error)
     try:
         _prepare_swap(act, planned, old)
-        downtime = _swap_instances(act, task, planned, old, new, variables)
-    except _HandoffError as failed:
+        warm = planned.change[0].phase is Phase.DEACTIVATE
+        swap = swap_active_instance if warm else _swap_instances
+        downtime = swap(act, task, planned, old, new, variables)
+    except HandoffError as failed:
         return _end_failed_handoff(act, task, failed)
     return _release_and_end(act, planned, new, downtime)
 
@@ -80,11 +77,35 @@ def replace_task(act: StepRun, task: Task, planned: StartPhases) -> ActionResult
     except HostError as error:
         return act.end(Outcome.DEFERRED, located=old, error=error)
     try:
-        perform_phases(act, planned.change, variables)
+        start_instance(act, task, planned.change, host, variables)
     except HostError as error:
         there = old if isinstance(error, RefusedError) else host
-        return _end_failed_handoff(act, task, _HandoffError(error, there, steers=False))
+        return _end_failed_handoff(act, task, HandoffError(error, there, steers=False))
     return _release_and_end(act, planned, host, None)
+
+
+def start_instance(
+    act: StepRun, task: Task, change: PlannedPhases, host: str, variables: Mapping[str, str]
+) -> None:
+    """Start the task on ``host`` and wait until it is ready; where a copy that waits there cannot be
+    activated, start it anew.
+
+    Raises:
+        HostError: as `perform_phases`.
+    """
+    try:
+        perform_phases(act, change, variables)
+    except (RefusedError, SwitchError):
+        if change[0].phase is not Phase.ACTIVATE:
+            raise
+        perform_phase(act, build_stop_phase(act.name, task, host, act.run.inventory, instance=None))
+        perform_phases(act, build_run_phases(task, host, act.run.inventory), variables)
+
+
+def _judge_preparation(act: StepRun) -> Outcome:
+    """A copy that does not get ready is a failure; what else keeps a move from beginning may pass."""
+    failed = bool(act.phases) and act.phases[-1].phase is Phase.STANDBY
+    return Outcome.FAILED if failed else Outcome.DEFERRED
 
 
 def _prepare_swap(act: StepRun, planned: StartPhases, old: str) -> None:
@@ -92,14 +113,15 @@ def _prepare_swap(act: StepRun, planned: StartPhases, old: str) -> None:
     try:
         perform_phases(act, (*planned.hold, *planned.carry))
     except HostError as error:
-        raise _HandoffError(error, old, steers=True) from error
+        raise HandoffError(error, old, steers=True) from error
 
 
 def _release_and_end(act: StepRun, planned: StartPhases, host: str, downtime: float | None) -> ActionResult:
-    """Run the release hook once the new instance is ready."""
+    """Run the release hook once the new instance is ready, and stop the old one where it is no copy."""
     act.begin_recovery()
     try:
         perform_phases(act, planned.release)
+        perform_phases(act, planned.retire)
     except HostError as error:
         drop_state(act)
         return act.end(Outcome.FAILED, located=host, downtime_s=downtime, error=error)
@@ -119,7 +141,8 @@ def _swap_instances(
     for phase in planned.change:
         try:
             perform_phase(act, phase, variables)
-            started = time.monotonic() if phase.phase is Phase.START else started
+            appeared = phase.phase in (Phase.START, Phase.ACTIVATE)
+            started = time.monotonic() if appeared else started
         except HostError as error:
             act.begin_recovery()
             if stop_first:
@@ -131,27 +154,27 @@ def _swap_instances(
 
 def _recover_stop_first(
     act: StepRun, task: Task, failed: PlannedPhase, old: str, new: str, error: HostError, began: float
-) -> _HandoffError:
+) -> HandoffError:
     """Where the old instance is gone and the new one failed, put the old one back."""
     if isinstance(error, ConcurrentChangeError):
-        return _HandoffError(error, error.located, steers=False)
+        return HandoffError(error, error.located, steers=False)
     if failed.phase is Phase.STOP:
-        return _HandoffError(error, old, steers=isinstance(error, RefusedError))
+        return HandoffError(error, old, steers=isinstance(error, RefusedError))
     if old == new:
-        return _HandoffError(error, new, steers=False)
+        return HandoffError(error, new, steers=False)
     return _restore_old_instance(act, task, old, new, error, began)
 
 
 def _recover_start_first(
     act: StepRun, task: Task, failed: PlannedPhase, old: str, new: str, error: HostError
-) -> _HandoffError:
+) -> HandoffError:
     """Where the new instance failed, take it away again; the old one was never touched."""
     if failed.phase is Phase.STOP:
-        return _HandoffError(error, new, steers=True)
+        return HandoffError(error, new, steers=True)
     return _withdraw_new_instance(act, task, old, new, error)
 
 
-def _end_failed_handoff(act: StepRun, task: Task, failed: _HandoffError) -> ActionResult:
+def _end_failed_handoff(act: StepRun, task: Task, failed: HandoffError) -> ActionResult:
     """Report the first cause; release the robot if an instance steers it, else report that it still holds."""
     act.begin_recovery()
     error = failed.error
@@ -185,20 +208,20 @@ def _stop_new_instance(act: StepRun, task: Task, new: str) -> None:
     perform_phase(act, build_stop_phase(act.name, task, new, act.run.inventory, instance=None))
 
 
-def _withdraw_new_instance(act: StepRun, task: Task, old: str, new: str, cause: HostError) -> _HandoffError:
+def _withdraw_new_instance(act: StepRun, task: Task, old: str, new: str, cause: HostError) -> HandoffError:
     try:
         _stop_new_instance(act, task, new)
     except HostError as error:
         message = f"{cause.message}; the new instance could not be taken away: {error.message}"
-        return _HandoffError(HostError(message, hint=error.hint, host=new), old, steers=True)
-    return _HandoffError(
+        return HandoffError(HostError(message, hint=error.hint, host=new), old, steers=True)
+    return HandoffError(
         HostError(f"{cause.message}; it still runs on {old}", hint=cause.hint, host=new), old, steers=True
     )
 
 
 def _restore_old_instance(
     act: StepRun, task: Task, old: str, new: str, cause: HostError, began: float
-) -> _HandoffError:
+) -> HandoffError:
     """Start the old instance again, unless the new one may run: two at once would be worse than none."""
     try:
         _stop_new_instance(act, task, new)
@@ -206,21 +229,22 @@ def _restore_old_instance(
         message = (
             f"{cause.message}; not restored on {old}, because it may still run on {new}: {error.message}"
         )
-        return _HandoffError(
+        return HandoffError(
             HostError(message, hint=f"check {new}, then apply again", host=new), new, steers=False
         )
     sent, carried = False, act.carried is not None
     try:
-        restore = build_run_phases(task, old, act.run.inventory, phase=Phase.RESTORE, carried=carried)
+        build = build_carried_run_phases if carried else build_run_phases
+        restore = build(task, old, act.run.inventory, phase=Phase.RESTORE)
         variables = resolve_variables(act, task, old)
         sent = True
         lost = _perform_restore(act, restore, variables)
     except HostError as error:
         message = f"{cause.message}; could not be restored on {old} either: {error.message}"
         there = old if sent and not isinstance(error, RefusedError) else None
-        return _HandoffError(HostError(message, hint=error.hint, host=old), there, steers=False)
+        return HandoffError(HostError(message, hint=error.hint, host=old), there, steers=False)
     restored = HostError(f"{cause.message}; restored on {old}{lost}", hint=cause.hint, host=new)
-    return _HandoffError(restored, old, steers=True, downtime_s=time.monotonic() - began)
+    return HandoffError(restored, old, steers=True, downtime_s=time.monotonic() - began)
 
 
 def _perform_restore(act: StepRun, restore: tuple[PlannedPhase, ...], variables: dict[str, str]) -> str:

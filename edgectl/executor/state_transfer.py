@@ -14,17 +14,11 @@ from collections.abc import Iterator
 from edgectl.agent.link import protocol
 from edgectl.dataclass import dataclass
 from edgectl.errors import ConnectError, HostError
-from edgectl.executor.action_phases import (
-    PlannedPhase,
-    PlannedRequest,
-    build_carry_phases,
-    build_load_phases,
-)
-from edgectl.executor.host_requests import Request
+from edgectl.executor.action_phases import PlannedPhase, PlannedRequest
+from edgectl.executor.host_requests import NO_INSTANCE, Request
 from edgectl.executor.state_requests import build_drop_request
 from edgectl.executor.step_run import StepRun
 from edgectl.model.result import CarriedState, Phase
-from edgectl.model.task import Task
 from edgectl.units import format_bytes, format_duration
 
 # Requests with a piece that are under way at once: one fills the link while another host works.
@@ -44,24 +38,6 @@ class _Piece:
     size: int
     packed: bool
     data: bytes
-
-
-def move_state(act: StepRun, task: Task, old: str, new: str) -> None:
-    """Hand the state of the living instance on ``old`` to the one on ``new`` (``act.started``), and remove
-    what that leaves on both; nothing for a task without state.
-
-    Raises:
-        HostError: it did not arrive, or was not taken.
-    """
-    inventory = act.run.inventory
-    try:
-        for planned in (
-            *build_carry_phases(task, old, new, inventory),
-            *build_load_phases(task, new, inventory, repeat=False),
-        ):
-            perform_state_phase(act, planned)
-    finally:
-        drop_state(act)
 
 
 def perform_state_phase(act: StepRun, planned: PlannedPhase) -> None:
@@ -133,12 +109,13 @@ def _transfer_state(act: StepRun, planned: PlannedPhase) -> None:
 def _load_state(act: StepRun, planned: PlannedPhase) -> None:
     """Load it into the instance that was started last; ``age_s`` is counted from the begin of the save."""
     request, carried, began = planned.requests[0], _get_carried(act), time.monotonic()
+    stated = request.body["instance"]
     with act.phase(Phase.LOAD, planned.host.name) as remarks:
         _ask(
             act,
             request,
             generation=_get_last_generation(act),
-            instance=act.started or None,
+            instance=act.started or None if stated == NO_INSTANCE else stated,
             size=carried.size_bytes,
             sha256=carried.sha256,
         )

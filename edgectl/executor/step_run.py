@@ -21,6 +21,7 @@ from edgectl.state.journal import Journal
 from edgectl.transport.agent_client import call_agent, stream_agent_chunks
 from edgectl.transport.base import Session, Transport
 from edgectl.transport.fleet_lease import FleetLease
+from edgectl.transport.held_call import hold_agent_call
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,6 +101,35 @@ class RunContext:
         except RefusedError as error:
             # The first one may have arrived, so nobody knows that nothing was done.
             raise HostError(error.message, hint=error.hint, host=host.name) from error
+
+    @contextlib.contextmanager
+    def hold(self, host: Host, request: Request, *, timeout: float) -> Iterator[Callable[[], Request]]:
+        """Have ``host`` prepare ``request``; what is yielded lets it go on and returns the reply.
+
+        Left without that, the host does nothing. Where the session is lost then, nobody knows whether it was
+        carried out: ask again.
+
+        Raises:
+            HostError: as `ask`, there and when it goes on.
+        """
+        signed, sent = request, 0.0
+        if self.lease is not None:
+            signed, sent = {**request, "lease": self.lease.sign(host.name)}, self.lease.now()
+        with self._connect(host) as session:
+            hit_failpoint(f"{request['op']} held")
+            held = hold_agent_call(session, signed, timeout=timeout)
+
+            def go_on() -> Request:
+                hit_failpoint(f"{request['op']} sent")
+                held.go()
+                answer: Request = held.wait()
+                hit_failpoint(f"{request['op']} acknowledged")
+                if self.lease is not None:
+                    self.lease.extend(host.name, sent)
+                return answer
+
+            with contextlib.closing(held):
+                yield go_on
 
     def _send_signed(
         self, session: Session, host: Host, request: Request, timeout: float, data: bytes

@@ -12,6 +12,7 @@ from edgectl.dataclass import dataclass
 from edgectl.model.encoding import Bounds, Positive, Signed, SignedInt, in_document
 from edgectl.model.policy import Policy
 from edgectl.model.resource import TERMS, Resource, ResourceMap, Usage
+from edgectl.model.standby_plan import StandbyStep
 
 
 class RejectionRule(StrEnum):
@@ -184,6 +185,7 @@ class Reason(StrEnum):
     GROUP = "group-incomplete"
     REBALANCED = "rebalanced"
     OPTIMAL = "optimal"
+    STANDBY_ACTIVATED = "standby-activated"
     REPLACED = "replaced"
     FORCED_INFEASIBLE = "present-host-infeasible"
     RELIEF = "relieves-overload"
@@ -362,7 +364,7 @@ class Assignment:
     ``unseen`` are hosts that did not answer while nothing is remembered of them (a manager new to the fleet).
     ``demand_spreads`` are percent demands that mean different amounts on the hosts that may run the task.
     ``shortages``: what the fleet lacks, whatever the placement. ``certificate``: of a plan that was made
-    as good as possible (ADR 71).
+    as good as possible (ADR 71). ``standbys``: what becomes of the inactive copies, by task.
     """
 
     policy: Policy
@@ -374,3 +376,4 @@ class Assignment:
     demand_spreads: tuple[DemandSpread, ...] = ()
     shortages: tuple[Shortage, ...] = ()
     certificate: Certificate | None = None
+    standbys: Mapping[str, tuple[StandbyStep, ...]] = field(default_factory=dict)

@@ -4,6 +4,7 @@ from enum import StrEnum
 
 from edgectl.dataclass import dataclass
 from edgectl.model.plan import Action
+from edgectl.model.standby_plan import StandbyAction
 
 
 class Outcome(StrEnum):
@@ -20,18 +21,21 @@ class Phase(StrEnum):
     """One part of an action, in the words of the handoff contract.
 
     ``reach`` (the host answers) and ``needs`` (predecessors are far enough) change nothing and are not in
-    results.
+    results. ``standby``: an inactive copy is started and can be activated.
     """
 
     REACH = "reach"
     NEEDS = "needs"
     SAFE = "safe"
     HOLD = "hold"
+    STANDBY = "standby"
     SAVE = "save"
     TRANSFER = "transfer"
     LOAD = "load"
+    DEACTIVATE = "deactivate"
     STOP = "stop"
     START = "start"
+    ACTIVATE = "activate"
     ADOPT = "adopt"
     READY = "ready"
     RELEASE = "release"
@@ -91,18 +95,35 @@ class ActionResult:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class StandbyResult:
+    """What became of one inactive copy of a task: started or stopped on ``host`` within ``seconds``."""
+
+    task: str
+    host: str
+    action: StandbyAction
+    outcome: Outcome
+    seconds: float = 0.0
+    error: str = ""
+    hint: str = ""
+    instance: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Results:
     """All actions of one apply.
 
-    ``revision`` counts applies of this fleet; ``seconds`` is the whole duration.
+    ``revision`` counts applies of this fleet; ``seconds`` is the whole duration. ``standbys``: the inactive
+    copies that were started or stopped by themselves.
     """
 
     revision: int
     actions: tuple[ActionResult, ...]
     seconds: float
     interrupted: bool = False
+    standbys: tuple[StandbyResult, ...] = ()
 
     @property
     def done(self) -> bool:
         """Whether every action was carried out."""
-        return not self.interrupted and all(action.outcome is Outcome.DONE for action in self.actions)
+        outcomes = [action.outcome for action in self.actions] + [copy.outcome for copy in self.standbys]
+        return not self.interrupted and all(outcome is Outcome.DONE for outcome in outcomes)

@@ -2,6 +2,7 @@
 
 from enum import StrEnum
 
+from edgectl.agent.link import protocol
 from edgectl.dataclass import dataclass
 from edgectl.model.check import Check
 from edgectl.model.demand import Demand
@@ -28,12 +29,20 @@ class Activation:
 class StandbyRule:
     """Standby level ``warm``: ``hosts`` hosts besides the task's own keep a started, inactive copy.
 
-    ``demand``: what one copy needs while it is inactive; of CPU and memory alone.
+    ``demand``: what one copy needs while it is inactive; of CPU and memory alone. Memory that is not stated
+    is as much as that of the task, CPU none.
     """
 
     activation: Activation
     hosts: int = 1
     demand: Demand = Demand()
+
+
+def is_standby_entry(entry: object) -> bool:
+    """Whether the entry of an instance in a reply proves that it is inactive."""
+    if not isinstance(entry, dict) or entry.get("role") != protocol.ROLE_STANDBY:
+        return False
+    return entry.get("switching", False) is False
 
 
 class SaveMoment(StrEnum):

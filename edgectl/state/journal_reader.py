@@ -78,8 +78,8 @@ class JournalSummary:
             self.begun.add(str(entry.get("plan")))
         elif event == "continued" and isinstance(names := entry.get("applied"), list):
             self.before.update(map(str, names))
-        elif event == "intent":
-            self._take_intent(task, entry.get("generation"))
+        elif event in ("intent", "copy"):
+            self._take_intent(event, task, entry.get("generation"))
         elif event == "phase":
             self._take_phase(task, entry)
         elif event == "commit":
@@ -91,8 +91,10 @@ class JournalSummary:
         if event in ("placed", "recovered"):
             self.located.clear()
 
-    def _take_intent(self, task: str, generation: object) -> None:
-        self._unfinished[task] = None
+    def _take_intent(self, event: object, task: str, generation: object) -> None:
+        """An action, or an inactive copy: nothing is unfinished where that is interrupted."""
+        if event == "intent":
+            self._unfinished[task] = None
         if isinstance(generation, int):
             self._intended[task] = generation
             self.generations[task] = max(self.generations.get(task, 0), generation + 1)
@@ -103,7 +105,7 @@ class JournalSummary:
             self._held[task] = None
         elif phase in ("save", "transfer"):
             self._spooled.setdefault(task, {})[str(entry.get("host"))] = None
-        elif phase in ("start", "restore"):
+        elif phase in ("start", "activate", "restore"):
             self.located[task] = (str(entry.get("host")), self._intended.get(task, 0) + (phase == "restore"))
 
     def _take_commit(self, task: str, located: object) -> None:

@@ -1,6 +1,7 @@
 """The protocol between manager and agent: name rules in both forms, states, operations, keys."""
 
 import re
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -12,7 +13,7 @@ from edgectl.executor import host_requests as requests
 from edgectl.gateway.probe_request import build_probe_request
 from edgectl.model.check import Check
 from edgectl.model.snapshot import TaskState
-from edgectl.model.standby import StateRule
+from edgectl.model.standby import Activation, StandbyRule, StateRule
 from tests.agent.conftest import AgentHost
 from tests.builders import a_robot, a_task, an_edge, an_inventory, some_tasks
 
@@ -61,6 +62,8 @@ def test_requests_of_the_manager_have_the_stated_keys() -> None:
         requests.build_mark_ready_request("slam", edge, instance="i"),
         requests.build_check_request(task, Check(command="true"), edge, fleet.hosts),
         requests.build_status_request(edge),
+        requests.build_activate_request(task, edge, fleet.hosts, instance="i", await_go_s=5.0),
+        requests.build_deactivate_request(task, edge, fleet.hosts, instance="i"),
         build_probe_request(
             edge, fleet, some_tasks(task), {"robot1": "127.0.0.1"}, window_s=0.5, timeout_s=10.0
         ),
@@ -70,6 +73,12 @@ def test_requests_of_the_manager_have_the_stated_keys() -> None:
     spec = sent[0]["spec"]
     assert isinstance(spec, dict)
     assert set(spec) == set(protocol.SPEC_KEYS)
+    rule = StandbyRule(activation=Activation(activate=Check(command="a"), deactivate=Check(command="d")))
+    sent_rule = requests.build_start_request(replace(task, standby=rule), edge, fleet.hosts, role="standby")
+    spec = sent_rule["spec"]
+    assert isinstance(spec, dict)
+    assert set(spec["activation"]) == set(protocol.ACTIVATION_KEYS)
+    assert (sent_rule["role"], sent[0]["role"]) == ("standby", "active")
 
 
 def test_replies_of_the_agent_have_the_stated_keys(host: AgentHost) -> None:

@@ -17,7 +17,7 @@ import pytest
 from edgectl.executor.dry_run import list_dry_run_requests
 from edgectl.model.check import Check
 from edgectl.model.result import ActionResult, Outcome, Phase
-from edgectl.model.standby import StateRule
+from edgectl.model.standby import Activation, SaveMoment, StandbyRule, StateRule
 from edgectl.model.task import HandoffContract, HandoffOrder, Task
 from edgectl.state import failpoints
 from edgectl.state.journal import JOURNAL_FILE_NAME
@@ -347,3 +347,52 @@ def test_disk_that_is_full(scene: Scene) -> None:
         assert not scene.spools()
         assert scene.talk(new, "save") == f"{SECRET}\n"
         assert scene.bench.where() == {"keeper": new}
+
+
+def a_warm(scene: Scene, **state: object) -> Task:
+    """The task with a copy on the other host; it says in a file of its host that it is active."""
+    task, place = scene.task(**state), f"{shlex.quote(str(scene.folder))}/active-$EDGECTL_HOST"  # type: ignore[arg-type]
+    rule = StandbyRule(
+        activation=Activation(
+            activate=Check(command=f"touch {place}"), deactivate=Check(command=f"rm -f {place}")
+        )
+    )
+    return replace(task, standby=rule)
+
+
+@pytest.mark.parametrize("moment", SaveMoment)
+def test_a_warm_move_hands_the_memory_to_the_copy(scene: Scene, moment: SaveMoment) -> None:
+    task = a_warm(scene, moment=moment)
+    old = scene.running(task)
+    new = ({"edge1", "edge2"} - {old}).pop()
+    result = scene.move(task, old)
+    assert result.outcome is Outcome.DONE, result
+    order = [phase for phase in list_phases(result) if phase not in (Phase.STANDBY, Phase.STOP)]
+    carry = [Phase.SAVE, Phase.TRANSFER, Phase.LOAD]
+    early = moment is SaveMoment.ACTIVE
+    assert order == [
+        *(carry if early else []), Phase.DEACTIVATE, *([] if early else carry), Phase.ACTIVATE, Phase.READY,
+    ]  # fmt: skip
+    assert scene.talk(new, "save") == f"{SECRET}\n"
+    assert [(scene.folder / f"active-{host}").exists() for host in (old, new)] == [False, True]
+    assert result.state is not None
+    assert not scene.spools()
+
+
+@pytest.mark.parametrize("moment", SaveMoment)
+@pytest.mark.parametrize("failing", ["save", "load"])
+def test_a_warm_move_that_cannot_carry_the_memory_leaves_the_old_one_active(
+    scene: Scene, moment: SaveMoment, failing: str
+) -> None:
+    task = a_warm(scene, moment=moment, **{failing: Check(command="exit 9", timeout=2.0)})
+    old = scene.running(task)
+    before = scene.bench.using(task).sample("keeper").instance
+    result = scene.move(task, old)
+    assert (result.outcome, result.located) == (Outcome.FAILED, old)
+    assert f"{failing} of keeper failed: exit code 9" in result.error
+    assert scene.bench.using(task).sample("keeper").instance == before
+    assert scene.talk(old, "save") == f"{SECRET}\n"
+    assert [(scene.folder / f"active-{host}").exists() for host in sorted(["edge1", "edge2"])] == [
+        host == old for host in sorted(["edge1", "edge2"])
+    ]
+    assert not scene.spools()

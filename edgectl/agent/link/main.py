@@ -48,6 +48,10 @@ def serve_request(request: bytes, channel: "Channel", bases: "list[str]") -> Non
 
             return stream_state(document, channel)
         operation = _find_operation(document["op"])
+        if document["op"] in protocol.HELD_OPS:
+            from .hold import Hold
+
+            document["hold"] = Hold(channel, float(document["await_go_s"]))
         if _needs_lease(document):
             from ..supervise.lease import perform_within_lease
 
@@ -111,6 +115,10 @@ def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C90
         from ..supervise.stop import stop_task as operation
     elif name == protocol.OP_FORGET:
         from ..supervise.stop import forget_task_nodes as operation
+    elif name == protocol.OP_ACTIVATE:
+        from ..supervise.switch import activate_task as operation
+    elif name == protocol.OP_DEACTIVATE:
+        from ..supervise.switch import deactivate_task as operation
     elif name == protocol.OP_STATUS:
         from ..supervise.status import report_status as operation
     elif name == protocol.OP_WAIT:

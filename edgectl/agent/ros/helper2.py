@@ -25,6 +25,8 @@ _FAST_DDS = b"\x01\x0f"
 # How long a name that is asked for the first time may take to be discovered, and how long after its own start
 # the helper may not know names that have long been there: on a busy host discovery takes seconds.
 _DISCOVERY_S, _SETTLE_S = 1.0, 5.0
+# By name: the number of a transition, and the state after it.
+_TRANSITIONS = {"configure": (1, "inactive"), "activate": (3, "active"), "deactivate": (4, "inactive")}
 # A list is complete when two looks so far apart see the same nodes.
 _LOOK_S, _MOST_LOOKS = 0.5, 10
 
@@ -37,6 +39,7 @@ class Graph:
         self.rclpy.init(args=[])
         self.node = self.rclpy.create_node("edgectl_%d" % os.getpid(), enable_rosout=False)
         self.clients: "dict[str, Any]" = {}
+        self.lifecycles = Lifecycles(self)
         self.settled_at = time.monotonic() + _SETTLE_S
         self.asked_at = time.monotonic()
         executors: "Any" = importlib.import_module("rclpy.executors")
@@ -57,7 +60,7 @@ class Graph:
             return " ".join(sorted(self._list_nodes_of(asked["processes"])))
         if "present" in asked:
             return " ".join(sorted(set(asked["present"]) & self._list_nodes()))
-        if asked.get("node") and not self._discover(lambda: asked["node"] in self._list_nodes()):
+        if asked.get("node") and not self.discover(lambda: asked["node"] in self._list_nodes()):
             return "node %s is not in the graph" % asked["node"]
         if asked.get("lifecycle"):
             state = self._read_lifecycle(asked["node"])
@@ -67,11 +70,17 @@ class Graph:
             return "no message on %s within %g s" % (asked["topic"]["name"], asked["topic"]["within_s"])
         if asked.get("service"):
             wanted = asked["service"]
-            if not self._discover(lambda: wanted in dict(self.node.get_service_names_and_types())):
+            if not self.discover(lambda: wanted in dict(self.node.get_service_names_and_types())):
                 return "service %s is not offered" % wanted
         return ""
 
-    def _discover(self, condition: "Any") -> bool:
+    def count_nodes(self, node: str) -> int:
+        """Count the nodes of this full name."""
+        known = self.node.get_node_names_and_namespaces()
+        return sum(space.rstrip("/") + "/" + name == node for name, space in known)
+
+    def discover(self, condition: "Any") -> bool:
+        """Wait for as long as a node or a service may take to be discovered."""
         return _wait_for(condition, max(_DISCOVERY_S, self.settled_at - time.monotonic()))
 
     def list_graph(self) -> "dict[str, Any]":
@@ -132,7 +141,7 @@ class Graph:
 
     def _hear(self, topic: str, within_s: float) -> bool:
         """Whether a message comes; of any publisher, whatever its quality of service."""
-        if not self._discover(lambda: topic in dict(self.node.get_topic_names_and_types())):
+        if not self.discover(lambda: topic in dict(self.node.get_topic_names_and_types())):
             return False
         until = time.monotonic() + within_s + _DISCOVERY_S
         package, _, name = dict(self.node.get_topic_names_and_types())[topic][0].partition("/msg/")
@@ -152,6 +161,87 @@ class Graph:
             self.node.destroy_subscription(subscription)
 
 
+class Lifecycles:
+    """Transitions of nodes with a lifecycle. Those of one node are made one after the other."""
+
+    def __init__(self, graph: Graph) -> None:
+        self._graph = graph
+        self._clients: "dict[str, Any]" = {}
+        self._locks: "dict[str, Any]" = {}
+
+    def answer(self, asked: "dict[str, Any]") -> str:
+        """Make the transition ``change``, or with ``warm`` only what it needs; the fault, empty for none."""
+        node, until = asked["node"], time.monotonic() + float(asked["within_s"])
+        lock = self._locks.setdefault(node, threading.Lock())
+        if not lock.acquire(timeout=float(asked["within_s"])):
+            return "node %s is in another transition" % node
+        try:
+            fault = self._find_ambiguity(node) or self._connect(node)
+            if fault or asked.get("warm"):
+                return fault or self._read_state(node, until)[1]
+            return self._change(node, asked["change"], until)
+        finally:
+            lock.release()
+
+    def _find_ambiguity(self, node: str) -> str:
+        """A service of two nodes of one name reaches both, so such nodes are left alone."""
+        self._graph.discover(lambda: self._graph.count_nodes(node))
+        count = self._graph.count_nodes(node)
+        if count == 1:
+            return ""
+        if not count:
+            return "node %s is not in the graph" % node
+        return "%d nodes are called %s: write {host} into the name" % (count, node)
+
+    def _connect(self, node: str) -> str:
+        if node not in self._clients:
+            services: "Any" = importlib.import_module("lifecycle_msgs.srv")
+            self._clients[node] = {
+                name: (self._graph.node.create_client(kind, node + "/" + name), kind)
+                for name, kind in (("get_state", services.GetState), ("change_state", services.ChangeState))
+            }
+        clients = [client for client, _ in self._clients[node].values()]
+        if not _wait_for(lambda: all(client.service_is_ready() for client in clients), _SERVICE_S):
+            return "node %s is without a lifecycle" % node
+        return ""
+
+    def _change(self, node: str, name: str, until: float) -> str:
+        transition, goal = _TRANSITIONS[name]
+        if name == "configure":
+            state, fault = self._read_state(node, until)
+            if fault or state == goal:
+                return fault
+            if state != "unconfigured":
+                return "node %s is %s: it is to wait for its activation" % (node, state)
+        request = self._clients[node]["change_state"][1].Request()
+        request.transition.id = transition
+        # It also declines because it is in the new state already: that counts, not its answer.
+        if self._call(node, "change_state", request, until) is None:
+            return "node %s does not answer" % node
+        state, fault = self._read_state(node, until)
+        if fault or state == goal:
+            return fault
+        return "node %s is %s, not %s" % (node, state, goal)
+
+    def _read_state(self, node: str, until: float) -> "tuple[str, str]":
+        """Read (the state, why it is not known)."""
+        kind = self._clients[node]["get_state"][1]
+        answer = self._call(node, "get_state", kind.Request(), until)
+        if answer is None:
+            return "", "node %s does not answer" % node
+        return str(answer.current_state.label), ""
+
+    def _call(self, node: str, name: str, request: "Any", until: float) -> "Any":
+        """The answer of a service; None where there is none in time."""
+        client, done = self._clients[node][name][0], threading.Event()
+        future = client.call_async(request)
+        future.add_done_callback(lambda _: done.set())
+        if not done.wait(max(0.0, until - time.monotonic())):
+            client.remove_pending_request(future)
+            return None
+        return future.result()
+
+
 def _wait_for(condition: "Any", seconds: float) -> bool:
     until = time.monotonic() + seconds
     while not condition():
@@ -159,6 +249,14 @@ def _wait_for(condition: "Any", seconds: float) -> bool:
             return False
         time.sleep(_POLL_S)
     return True
+
+
+def _answer(graph: Graph, asked: "dict[str, Any]") -> str:
+    if asked.get("list"):
+        return json.dumps(graph.list_graph())
+    if asked.get("change") or asked.get("warm"):
+        return graph.lifecycles.answer(asked)
+    return graph.find_fault(asked)
 
 
 def _serve(graph: Graph, peer: socket.socket) -> None:
@@ -169,7 +267,7 @@ def _serve(graph: Graph, peer: socket.socket) -> None:
             return
         try:
             asked = json.loads(peer.recv(_MOST_BYTES).decode("utf-8"))
-            fault = json.dumps(graph.list_graph()) if asked.get("list") else graph.find_fault(asked)
+            fault = _answer(graph, asked)
         except Exception as error:  # noqa: BLE001 - the answer is the only channel
             fault = "%s: %s" % (type(error).__name__, error)
         peer.sendall(b"=" + fault.encode("utf-8", "replace"))

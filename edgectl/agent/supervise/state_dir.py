@@ -170,6 +170,8 @@ def make_task_dir(host: str, task: str) -> str:
                 ("status", RECORD_BYTES),
                 ("mark", RECORD_BYTES),
                 ("generation", RECORD_BYTES),
+                ("role", RECORD_BYTES),
+                ("switch", 0),
             ):
                 reserve_file(os.path.join(levels[-1], name), size)
             return levels[-1]

@@ -98,6 +98,11 @@ def _stop_instance(record: InstanceRecord, request: Document) -> "list[int]":
     settings = request.get("stop") or record.instance.get("stop") or {}
     note = nodes.note_nodes(record.folder)
     disable_restarts(record)
+    if lockfile.is_lock_held(record.folder, "switch"):
+        # Imported on demand: few tasks have an activation.
+        from .switch_lock import end_switch
+
+        end_switch(record.folder)
     for name, scope, grace_s in signals.list_stop_steps(settings):
         if _signal_until_gone(record, signals.parse_signal(name), scope, grace_s, note):
             break
