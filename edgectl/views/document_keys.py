@@ -33,7 +33,7 @@ _EVENT = ("id", "at", "kind", "host", "task", "message")
 _ACTION = (
     "task", "action", "outcome", "host", "previous_host", "located", "downtime_s", "phases", "error", "hint",
 )  # fmt: skip
-_RESULT = ("revision", "duration_s", "done", "interrupted", "actions")
+_RESULT = ("revision", "duration_s", "done", "interrupted", "actions", "standbys")
 _REVISION = ("revision", "started_at", "user", "verb", "outcome", "duration_s", "counts")
 _ESTIMATE = ("mean", "std", "half_ci95", "run_count")
 
@@ -136,7 +136,10 @@ INNER_KEYS: KeysByName = {
         "addresses", "counted", "rx_bytes", "tx_bytes", "tcp_bytes", "rx_bytes_per_s", "tx_bytes_per_s",
     ),
     "runs": tuple(dict.fromkeys((*_RUN, *_ABSENT_TASK))),
-    "standbys": (*_RUN, "standby", "action", "reason", "total"),
+    "standbys": (
+        *(*_RUN, "standby", "action", "reason", "total"),
+        *("task", "outcome", "duration_s", "error", "hint"),
+    ),
     "schemes": (
         "scheme", "run_count", "unfinished", "unplaced", "host_names", "figures", "metrics", "maps",
         "reference_figures", "off_by",

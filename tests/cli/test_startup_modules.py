@@ -108,7 +108,7 @@ def start(folder: Path, env: dict[str, str], *words: str) -> Start:
         (("plan", "--snapshot", "snap.json"), 419, 170, SSH),
         (("probe", "--window", "0"), 550, 170, PLANNING),
         (("plan",), 605, 230, set()),
-        (("apply", "-y"), 631, 240, set()),
+        (("apply", "-y"), 640, 240, set()),
         (("status",), 605, 225, set()),
         (("logs", "beat"), 500, 165, PLANNING),
     ],

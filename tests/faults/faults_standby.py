@@ -6,6 +6,7 @@ once, and none that is active, as it counts two launches and none.
 
 import signal
 import time
+from typing import Any
 
 from tests.faults import oracle, scan
 from tests.faults.command_result import ExpectationError
@@ -27,7 +28,7 @@ def say_word(word: str) -> str:
     return f'echo {word} > {PIPES}/in && read answer < {PIPES}/out && test "$answer" = {word}'
 
 
-def start_standby_task(fleet: FaultFleet, **fields: object) -> None:
+def start_standby_task(fleet: FaultFleet, **fields: Any) -> None:
     """Start slam, which is not bound to a host, and its copy."""
     fleet.add_task("slam", **fields)
     program = f'exec python3 "$HOME/oracle/standby_task.py" "$HOME/oracle/records" slam {PIPES} {fleet.mark}'
