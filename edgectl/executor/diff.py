@@ -3,14 +3,13 @@
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
-from edgectl.executor.operator_plans import stop_copies
 from edgectl.model.assignment import Assignment, Decision, Reason, Verdict
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
-from edgectl.model.standby_plan import StandbyReason
+from edgectl.model.standby_plan import StandbyReason, stop_copies
 from edgectl.model.task import Tasks
 from edgectl.names import natural_key
 from edgectl.rules.need_runs import find_restarted_need, list_followed_needs, mark_run

@@ -8,7 +8,7 @@ from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.snapshot import HostSample, Snapshot
-from edgectl.model.standby_plan import StandbyAction, StandbyReason, StandbyStep
+from edgectl.model.standby_plan import StandbyReason, stop_copies
 from edgectl.model.task import Tasks
 from edgectl.rules.lost_places import build_lost_place_decision, list_lost_tasks
 
@@ -31,14 +31,6 @@ def list_copies(snapshot: Snapshot) -> dict[str, dict[str, str]]:
             if copy.state.alive or copy.pid > 0:
                 found.setdefault(name, {})[host] = copy.instance
     return found
-
-
-def stop_copies(copies: Mapping[str, str], reason: StandbyReason) -> tuple[StandbyStep, ...]:
-    """The steps that stop these copies, given by host with their instances."""
-    return tuple(
-        StandbyStep(host=host, action=StandbyAction.STOP, reason=reason, instance=instance)
-        for host, instance in copies.items()
-    )
 
 
 def list_unseen_placements(snapshot: Snapshot) -> dict[str, str]:

@@ -1,5 +1,6 @@
 """What a plan does with the inactive copies of a task."""
 
+from collections.abc import Mapping
 from dataclasses import field
 from enum import StrEnum
 
@@ -77,3 +78,11 @@ class StandbyStep:
     amount: Signed | None = None
     total: Signed | None = None
     demand: Usage = field(default=Usage(), metadata=in_document(by_resource=("demand",), host_only=True))
+
+
+def stop_copies(copies: Mapping[str, str], reason: StandbyReason) -> tuple[StandbyStep, ...]:
+    """The steps that stop these copies, given by host with their instances."""
+    return tuple(
+        StandbyStep(host=host, action=StandbyAction.STOP, reason=reason, instance=instance)
+        for host, instance in copies.items()
+    )

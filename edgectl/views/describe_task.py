@@ -20,6 +20,14 @@ from edgectl.views.output import ItemView
 from edgectl.views.output_format import ITEM_FORMATS
 from edgectl.views.reasons import describe_reason
 from edgectl.views.rows import encode_run_row, find_task_demand
+from edgectl.views.standbys import (
+    describe_standby,
+    describe_standby_rule,
+    describe_state_rule,
+    encode_standby_row,
+    list_standby_runs,
+    render_standby_state,
+)
 from edgectl.views.state import TASK_STATE_STYLES, format_silence, format_task_state, resolve_absent_task
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row
 from edgectl.views.usage import (
@@ -54,6 +62,7 @@ class TaskDetailsView(ItemView):
         self._step, self._events = step, events
         self._task = tasks.tasks.get(name)
         self._runs = _select_task_runs(name, snapshot)
+        self._copies = [(host, copy) for task, host, copy in list_standby_runs(snapshot) if task == name]
 
     def table(self, look: RenderOptions = PLAIN) -> str:
         """Fields, then each run with its usage and metrics, then events."""
@@ -67,6 +76,9 @@ class TaskDetailsView(ItemView):
         parts = [render_fields(fields, look)]
         for host, sample in self._runs:
             parts += self._render_run(host, sample, look)
+        for host, copy in self._copies:
+            rows = _render_run_rows(copy, self._snapshot.taken_at, render_standby_state(copy))
+            parts.append(render_section(f"Standby on {host}", rows, look))
         return "".join([*parts, render_events_section(self._events, look)])
 
     def _render_run(self, host: str, sample: TaskSample, look: RenderOptions) -> list[str]:
@@ -94,6 +106,9 @@ class TaskDetailsView(ItemView):
             "runs": [
                 encode_run_row(self._name, host, sample, self._find_demand(host), self._snapshot)
                 for host, sample in self._runs
+            ],
+            "standbys": [
+                encode_standby_row(self._name, host, copy, {}, self._snapshot) for host, copy in self._copies
             ],
             "placement": None
             if placed is None
@@ -136,6 +151,8 @@ def _list_spec_fields(stated: Task) -> list[Field]:
                 ]
             ),
         ),
+        ("Standby", describe_standby_rule(stated)),
+        ("State", describe_state_rule(stated)),
         ("Unreachable", _format_unreachable_policy(stated)),
         ("Limits", _format_task_limits(stated)),
         ("Environment", format_pairs(stated.env)),
@@ -200,6 +217,10 @@ def _list_placement_fields(name: str, stated: Task | None, value: Snapshot, step
         ("Downtimes", "; ".join(downtimes)),
         ("Deferred", memory.deferred.get(name, "")),
         ("Decision", describe_reason(step) if step is not None else ""),
+        *(
+            (f"Standby on {each.host or '-'}", describe_standby(name, each))
+            for each in (step.standbys if step is not None else ())
+        ),
     ]
 
 
@@ -220,10 +241,10 @@ def _select_task_runs(name: str, value: Snapshot) -> list[tuple[str, TaskSample]
     return [(place, each.tasks[name]) for place, each in value.hosts.items() if name in each.tasks]
 
 
-def _render_run_rows(sample: TaskSample, now: float) -> list[Row]:
+def _render_run_rows(sample: TaskSample, now: float, state: Cell | None = None) -> list[Row]:
     since = _format_ago(sample.started_at, now) if sample.started_at else ""
     found: list[Field] = [
-        ("State:", Cell(format_task_state(sample), TASK_STATE_STYLES[sample.state])),
+        ("State:", state or Cell(format_task_state(sample), TASK_STATE_STYLES[sample.state])),
         ("Since:", since),
         ("Ended:", "" if sample.ended_at is None else _format_ago(sample.ended_at, now)),
         ("Process:", str(sample.pid or "")),

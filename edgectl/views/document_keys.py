@@ -27,14 +27,14 @@ _RUN = (
     "pid", "instance", "generation", "managed", "given_up", "exit_code", "last_exit", "enforcement",
     "partial", "log_tail", "metrics",
 )  # fmt: skip
-_TASK = (*_RUN, "contacted_at", "in_files", "task_kind", "robot_names", "needs", "labels")
+_TASK = (*_RUN, "standby", "contacted_at", "in_files", "task_kind", "robot_names", "needs", "labels")
 _LINK = ("edge", "robot", "taken_at", *_LINK_SAMPLE)
 _EVENT = ("id", "at", "kind", "host", "task", "message")
 _ACTION = (
     "task", "action", "outcome", "host", "previous_host", "located", "downtime_s", "carried", "phases",
     "error", "hint",
 )  # fmt: skip
-_RESULT = ("revision", "duration_s", "done", "interrupted", "actions")
+_RESULT = ("revision", "duration_s", "done", "interrupted", "actions", "standbys")
 _REVISION = ("revision", "started_at", "user", "verb", "outcome", "duration_s", "counts")
 _ESTIMATE = ("mean", "std", "half_ci95", "run_count")
 
@@ -64,8 +64,8 @@ LIST_KEYS: KeysByName = {
     "revision": _REVISION,
     "robot": _HOST,
     "task": _TASK,
-    "task-status": (*_RUN, "contacted_at", "node_names", "cut_off_from", "attention"),
-    "task-usage": (*_RUN, "history"),
+    "task-status": (*_RUN, "contacted_at", "node_names", "cut_off_from", "attention", "standby"),
+    "task-usage": (*_RUN, "standby", "history"),
 }  # fmt: skip
 
 # Kind -> keys of a single item.
@@ -81,13 +81,16 @@ ITEM_KEYS: KeysByName = {
     "explanation": (
         "task", "action", "reason", "host", "previous_host", "runner_up", "total", "lead", "slack", "noise",
         "fragile", "pinned_to", "equal_hosts", "tie_rule", "contributions", "flips",
+        "standbys",
     ),
     "map-score": ("ssim",),
     "result": _RESULT,
     "revision": (*_REVISION, "actions", "placements"),
     "robot": _HOST_DETAILS,
     "simulation": ("scenario", "reference", "assumptions", "notes", "schemes"),
-    "task": ("task", "taken_at", "spec", "runs", "placement", "downtimes_s", "decision", "events"),
+    "task": (
+        "task", "taken_at", "spec", "runs", "standbys", "placement", "downtimes_s", "decision", "events",
+    ),
     "validation": ("edge_names", "robot_names", "task_names", "inventory_digest", "tasks_digest"),
     "version": ("edgectl", "python"),
 }  # fmt: skip
@@ -135,6 +138,10 @@ INNER_KEYS: KeysByName = {
         "addresses", "counted", "rx_bytes", "tx_bytes", "tcp_bytes", "rx_bytes_per_s", "tx_bytes_per_s",
     ),
     "runs": tuple(dict.fromkeys((*_RUN, *_ABSENT_TASK))),
+    "standbys": (
+        *(*_RUN, "standby", "action", "reason", "total"),
+        *("task", "outcome", "duration_s", "error", "hint"),
+    ),
     "schemes": (
         "scheme", "run_count", "unfinished", "unplaced", "host_names", "figures", "metrics", "maps",
         "reference_figures", "off_by",

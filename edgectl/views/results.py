@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 
 from edgectl.formats.document import Document, without_none
-from edgectl.model.result import ActionResult, CarriedState, Outcome, PhaseResult, Results
+from edgectl.model.result import ActionResult, CarriedState, Outcome, PhaseResult, Results, StandbyResult
 from edgectl.units import format_duration
 from edgectl.views.output import ItemView
 from edgectl.views.output_format import NAMED_FORMATS
@@ -85,9 +85,10 @@ def render_results(value: Results, look: RenderOptions) -> str:
     stopped = " Interrupted." if value.interrupted else ""
     return (
         render_actions(value.actions, look)
+        + render_columns([_render_standby_row(copy) for copy in value.standbys], look)
         + style_text(text + stopped, "bold" if value.done else "bad", look)
         + "\n"
-        + _render_hints(value.actions)
+        + _render_hints((*value.actions, *value.standbys))
     )
 
 
@@ -102,6 +103,16 @@ def _render_action_row(action: ActionResult) -> Row:
         Cell(action.task, "name"),
         Cell(action.outcome.value, _OUTCOME_STYLES[action.outcome]),
         format_action_result(action),
+    )
+
+
+def _render_standby_row(copy: StandbyResult) -> Row:
+    took = f" {format_duration(copy.seconds)}" if copy.seconds else ""
+    return (
+        Cell(" "),
+        Cell(copy.task, "name"),
+        Cell(copy.outcome.value, _OUTCOME_STYLES[copy.outcome]),
+        f"{copy.action} standby on {copy.host}{took}" + (f"; {copy.error}" if copy.error else ""),
     )
 
 
@@ -122,7 +133,7 @@ def _format_phase_result(phase: PhaseResult) -> str:
     )
 
 
-def _render_hints(actions: Iterable[ActionResult]) -> str:
+def _render_hints(actions: Iterable[ActionResult | StandbyResult]) -> str:
     """The hints of the actions that failed, each once."""
     hints = dict.fromkeys(action.hint for action in actions if action.hint)
     return "".join(f"hint: {escape_unprintable(hint)}\n" for hint in hints)
@@ -135,7 +146,19 @@ def _encode_results(value: Results) -> Document:
         "done": value.done,
         "interrupted": value.interrupted,
         "actions": [encode_action_result(action) for action in value.actions],
+        "standbys": [_encode_standby_result(copy) for copy in value.standbys],
     }
+
+
+def _encode_standby_result(copy: StandbyResult) -> Document:
+    document: Document = {
+        "task": copy.task,
+        "host": copy.host,
+        "action": copy.action.value,
+        "outcome": copy.outcome.value,
+        "duration_s": copy.seconds,
+    }
+    return document | without_none(error=copy.error or None, hint=copy.hint or None)
 
 
 def encode_action_result(action: ActionResult) -> Document:

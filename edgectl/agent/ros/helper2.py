@@ -79,6 +79,13 @@ class Graph:
         known = self.node.get_node_names_and_namespaces()
         return sum(space.rstrip("/") + "/" + name == node for name, space in known)
 
+    def is_node_below(self, node: str, root: int) -> bool:
+        """Whether a process below ``root`` has the node; also where processes cannot be told from writers."""
+        own = {os.getpid()}
+        if "/" + self.node.get_name() not in self._list_nodes_of(sorted(own)):
+            return True
+        return node in self._list_nodes_of(sorted(_list_below(root)))
+
     def discover(self, condition: "Any") -> bool:
         """Wait for as long as a node or a service may take to be discovered."""
         return _wait_for(condition, max(_DISCOVERY_S, self.settled_at - time.monotonic()))
@@ -161,6 +168,22 @@ class Graph:
             self.node.destroy_subscription(subscription)
 
 
+def _list_below(root: int) -> "set[int]":
+    """List the process and all below it."""
+    parents = {}
+    for name in os.listdir("/proc"):
+        try:
+            with open("/proc/%d/stat" % int(name), "rb") as file:
+                parents[int(name)] = int(file.read().rpartition(b")")[2].split()[1])
+        except (OSError, ValueError):
+            continue
+    found, before = {root}, set()  # type: set[int], set[int]
+    while found != before:
+        before = found
+        found = found | {pid for pid, parent in parents.items() if parent in found}
+    return found
+
+
 class Lifecycles:
     """Transitions of nodes with a lifecycle. Those of one node are made one after the other."""
 
@@ -176,21 +199,24 @@ class Lifecycles:
         if not lock.acquire(timeout=float(asked["within_s"])):
             return "node %s is in another transition" % node
         try:
-            fault = self._find_ambiguity(node) or self._connect(node)
+            fault = self._find_ambiguity(node, int(asked.get("root", 0))) or self._connect(node)
             if fault or asked.get("warm"):
                 return fault or self._read_state(node, until)[1]
             return self._change(node, asked["change"], until)
         finally:
             lock.release()
 
-    def _find_ambiguity(self, node: str) -> str:
-        """A service of two nodes of one name reaches both, so such nodes are left alone."""
-        self._graph.discover(lambda: self._graph.count_nodes(node))
+    def _find_ambiguity(self, node: str, root: int) -> str:
+        """A service of two nodes of one name reaches both, so such nodes are left alone.
+
+        ``root``: below this process is the node that is meant, as far as that can be seen; 0: it was already.
+        """
+        known = self._graph.discover(lambda: self._graph.count_nodes(node))
+        if not known or (root and not self._graph.discover(lambda: self._graph.is_node_below(node, root))):
+            return "node %s of this task is not in the graph" % node
         count = self._graph.count_nodes(node)
         if count == 1:
             return ""
-        if not count:
-            return "node %s is not in the graph" % node
         return "%d nodes are called %s: write {host} into the name" % (count, node)
 
     def _connect(self, node: str) -> str:

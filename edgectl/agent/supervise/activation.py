@@ -31,9 +31,12 @@ _LOOK_S, _RETRY_S, _POLL_S = 2.0, 0.1, 0.5
 LIFECYCLE_S = 20.0
 
 
-def build_transition(node: str, name: str) -> Document:
-    """Build the question that the helper for ROS 2 answers once the node has made the transition."""
-    return {"version": 2, "node": node, "change": name, "within_s": LIFECYCLE_S}
+def build_transition(node: str, name: str, root: int = 0) -> Document:
+    """Build the question that the helper for ROS 2 answers once the node has made the transition.
+
+    ``root``: the node must be of a process below this one.
+    """
+    return {"version": 2, "node": node, "change": name, "within_s": LIFECYCLE_S, "root": root}
 
 
 class Activation:
@@ -50,12 +53,9 @@ class Activation:
         self._folder, self._instance, self._spec, self._env = folder, instance, spec, env
         self._find_main = find_main
         self.rule: Document = spec.get("activation") or {}
-        checks = [self.rule.get("ready")]
-        if self.rule.get("lifecycle"):
-            question = build_transition(str(self.rule["lifecycle"]), "configure")
-            checks.insert(0, {"command": "", "graph": question, "timeout_s": LIFECYCLE_S})
-        self._checks = [ReadyCheck(dict(spec, ready=check), env, find_main) for check in checks if check]
+        # What is still to be checked; without anything, the process only has to run for its time.
         self._left: "list[ReadyCheck]" = []
+        self._waits = True
         self._pid, self._ticks, self._begun = 0, -1, 0.0
         self._next = 0.0
         self._effect: "Effect | None" = None
@@ -68,9 +68,19 @@ class Activation:
         """Prepare a new process, which is inactive."""
         self._pid, self._ticks, self._begun = pid, ticks, time.monotonic()
         self._next, self.prepared, self.active, self.fault = 0.0, False, False, ""
-        self._left = list(self._checks)
+        self._left = self._build_checks()
+        self._waits = not self._left
         if self._left:
             self._left[0].begin()
+
+    def _build_checks(self) -> "list[ReadyCheck]":
+        checks = [self.rule.get("ready")]
+        if self.rule.get("lifecycle"):
+            question = build_transition(str(self.rule["lifecycle"]), "configure", self._pid)
+            checks.insert(0, {"command": "", "graph": question, "timeout_s": LIFECYCLE_S})
+        return [
+            ReadyCheck(dict(self._spec, ready=check), self._env, self._find_main) for check in checks if check
+        ]
 
     def adopt(self, pid: int, ticks: int, status: Document) -> None:
         """Go on with a process that another supervisor has started."""
@@ -101,7 +111,7 @@ class Activation:
 
     def _poll_checks(self) -> str:
         """Whether it can be activated from now on."""
-        if not self._checks and time.monotonic() - self._begun < self._get_up_s():
+        if self._waits and time.monotonic() - self._begun < self._get_up_s():
             return ""
         if self._left:
             check = self._left[0]
@@ -157,7 +167,7 @@ class Activation:
         if self.rule.get("lifecycle"):
             from ..ros.question import GraphQuestion
 
-            question = build_transition(str(self.rule["lifecycle"]), "activate")
+            question = build_transition(str(self.rule["lifecycle"]), "activate", self._pid)
             return GraphQuestion(question, self._env, LIFECYCLE_S, setup)
         from .held_shell import HeldShell
 

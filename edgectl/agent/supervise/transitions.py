@@ -76,7 +76,9 @@ class CommandTransition(Transition):
 class LifecycleTransition(Transition):
     """A transition of a node, made by the helper for ROS 2."""
 
-    def __init__(self, node: str, name: str, spec: Document, env: "Mapping[str, str]", lock: int) -> None:
+    def __init__(
+        self, node: str, name: str, root: int, spec: Document, env: "Mapping[str, str]", lock: int
+    ) -> None:
         super().__init__(lock)
         from ..ros import graph2
 
@@ -84,7 +86,8 @@ class LifecycleTransition(Transition):
         setup = list((spec.get("ros") or {}).get("setup") or ())
         self._helper = graph2.build_helper_name(env, setup)
         self._asked = build_transition(node, name)
-        fault = self._put({"node": node, "warm": True, "within_s": _PREPARE_S}, _PREPARE_S, graph2.CONNECT_S)
+        warm = {"node": node, "warm": True, "within_s": _PREPARE_S, "root": root}
+        fault = self._put(warm, _PREPARE_S, graph2.CONNECT_S)
         if fault:
             raise RefusalError("not-prepared", fault)
 
@@ -118,7 +121,9 @@ def _build_transition(record: InstanceRecord, spec: Document, wanted: str, lock:
     rule, env = spec["activation"], _build_environment(record, spec)
     name = "activate" if wanted == protocol.ROLE_ACTIVE else "deactivate"
     if rule.get("lifecycle"):
-        return LifecycleTransition(str(rule["lifecycle"]), name, spec, env, lock)
+        return LifecycleTransition(
+            str(rule["lifecycle"]), name, int(record.status.get("pid", 0)), spec, env, lock
+        )
     return CommandTransition(rule[name], spec, env, lock)
 
 
