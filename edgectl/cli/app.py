@@ -38,6 +38,7 @@ COMMANDS = {
     "top tasks": CommandEntry(
         "cli.top", "Inspect", "Show resource usage of tasks against their demand, now and lately."
     ),
+    "wait": CommandEntry("cli.wait", "Inspect", "Wait until tasks are ready, completed or gone."),
     "logs": CommandEntry("cli.status", "Inspect", "Print the logs of a task."),
     "events": CommandEntry("cli.events", "Inspect", "List recent events."),
     "explain": CommandEntry("cli.explain", "Inspect", "Explain a placement and what would change it."),
@@ -63,7 +64,7 @@ COMMANDS = {
     "reopen": CommandEntry(
         "cli.operator_marks", "Operate", "Make completed or failed tasks schedulable again."
     ),
-    "trust": CommandEntry("cli.operator_marks", "Operate", "Record the SSH host key of a host."),
+    "trust": CommandEntry("cli.trust", "Operate", "Record the SSH host keys of hosts."),
     "doctor": CommandEntry("cli.doctor", "Operate", "Diagnose hosts, links and configuration."),
     "profilers start": CommandEntry("cli.profilers", "Operate", "Start resident profilers on the hosts."),
     "profilers status": CommandEntry("cli.profilers", "Operate", "Show resident profilers and their cost."),

@@ -74,13 +74,16 @@ def _wrap_os_error(error: OSError, why: str) -> EdgectlError:
 def print_error(error: EdgectlError, words: Sequence[str]) -> None:
     """Print an error on stderr, as JSON with ``-o json``.
 
-    On stdout: annotations of ``-o github``, and the problems of ``validate -o json``, which are its data.
+    On stdout: annotations of ``-o github``, the report of ``-o gitlab``, and the problems of ``validate -o
+    json``, which are its data.
     """
-    from edgectl.views import errors, github
+    from edgectl.views import errors, github, gitlab
 
     form = _find_output_format(words)
     if form == "github" and isinstance(error, InputError):
         console.print_text(github.problems(error.problems))
+    elif form == "gitlab" and isinstance(error, InputError):
+        console.print_text(gitlab.render_report(error.problems))
     elif form == "json":
         asked_for = isinstance(error, InputError) and "validate" in words[:1]
         (console.print_text if asked_for else console.print_stderr)(errors.render_error_json(error))

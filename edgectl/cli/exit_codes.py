@@ -1,6 +1,6 @@
 """Exit codes of results (docs/cli.md, "Exit codes")."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from edgectl.errors import ExitCode
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from edgectl.model.byte_counters import ByteCounters
     from edgectl.model.cycle import Cycle
     from edgectl.model.diagnosis import Diagnosis
+    from edgectl.rules.awaited_state import TaskProgress
     from edgectl.usecases.plan_execution import ApplyResult
 
 _MILDER_CODES = (ExitCode.DONE, ExitCode.CHANGES, ExitCode.UNPLACED)
@@ -114,6 +115,13 @@ def of_status(
     if find_failed_tasks(tasks, snapshot) or list_unhealthy_tasks(snapshot) or cut_off:
         return ExitCode.PARTLY
     return of_snapshot(snapshot, inventory, allow_unreachable=allow_unreachable)
+
+
+def of_wait(progress: "Sequence[TaskProgress]", *, interrupted: bool) -> ExitCode:
+    """1 if a task has not reached what was waited for, 130 if the wait was interrupted before."""
+    if all(each.reached for each in progress):
+        return ExitCode.DONE
+    return ExitCode.INTERRUPTED if interrupted else ExitCode.FAILED
 
 
 def of_cycle(cycle: "Cycle") -> ExitCode:

@@ -49,15 +49,19 @@ def validate_command(
         edgectl validate -i inventories/local.yaml -t tasks/demo.yaml
         edgectl validate -o json
         edgectl validate -o github
+        edgectl validate -o gitlab
     """
     from edgectl.usecases.validate import list_uneven_demands
     from edgectl.views.demands import list_demand_spread_notes
+    from edgectl.views.gitlab import render_report
     from edgectl.views.validation import ValidationView
 
     loaded = load_inputs(inventory, tasks, every_warning=True)
     for line in list_demand_spread_notes(list_uneven_demands(loaded.inventory, loaded.tasks)):
         console.print_message(f"note: {line}")
-    if output is not OutputFormat.GITHUB:
+    if output is OutputFormat.GITLAB:
+        console.print_text(render_report(()))
+    elif output is not OutputFormat.GITHUB:
         console.print_view(ValidationView(loaded.inventory, loaded.tasks), output)
 
 

@@ -1,4 +1,4 @@
-"""Commands that mark hosts and tasks: trust, cordon, uncordon, fence, unfence, done, reopen."""
+"""Commands that mark hosts and tasks: cordon, uncordon, fence, unfence, done, reopen."""
 
 from collections.abc import Iterable
 from typing import Annotated
@@ -10,42 +10,6 @@ from edgectl.cli.user_files import load_inputs
 from edgectl.errors import ExitCode
 from edgectl.model.inventory import Inventory
 from edgectl.names import check_known_names
-
-
-def trust_command(
-    *,
-    host: options.HostArgument,
-    inventory: options.InventoryOption = None,
-    tasks: options.TasksOption = None,
-    yes: options.YesOption = False,
-) -> None:
-    """Show the fingerprint of a host's key, ask, and record it in known_hosts.
-
-    Examples:
-        edgectl trust edge1 --yes
-    """
-    from edgectl.transport.trust import fetch_host_keys, get_public_key_path, trust_host_key
-
-    loaded = load_inputs(inventory, tasks, needs_tasks=False)
-    check_known_names([host], loaded.inventory.hosts, "host")
-    keys = fetch_host_keys(loaded.inventory.hosts[host])
-    if not keys:
-        console.print_text(f"{host} is this machine; it has no host key\n")
-        return
-    for kind, fingerprint, _ in keys:
-        console.print_text(f"{host} {kind} {fingerprint}\n")
-    compare = " && ".join(f"ssh-keygen -lf {get_public_key_path(kind)}" for kind, _, _ in keys)
-    apply_session.check_can_confirm(
-        asked=not yes,
-        first=f"compare the fingerprint with the output of this command on {host} itself: {compare}",
-    )
-    if not yes and not apply_session.ask_confirmation(
-        f'Compare with the output of this command on {host} itself: {compare}\nTrust it? Only "yes" is '
-        "accepted: "
-    ):
-        raise Exit(ExitCode.FAILED)
-    for _, _, line in keys:
-        console.print_message(f"recorded in {trust_host_key(loaded.inventory.hosts[host], line)}")
 
 
 def cordon_command(

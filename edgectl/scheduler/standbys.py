@@ -95,12 +95,14 @@ def place_standbys(how: PlacementPass, outcome: PassResult) -> tuple[list[Standb
 
     Repeated until nothing changes, so that a plan made right after its apply finds no better place either.
     """
+    if not any(task.standby is not None for task in how.order):
+        return [], outcome.ledger
     base = outcome.ledger.copy()
     found = [
         StandbyPlaces(case=case, places=_list_first_places(case)) for case in _list_cases(how, outcome, base)
     ]
     ledger = base
-    for _ in range(MAX_ROUNDS if found else 0):
+    for _ in range(MAX_ROUNDS):
         before = [each.places for each in found]
         ledger = _place_once(how, base, found)
         if [each.places for each in found] == before:

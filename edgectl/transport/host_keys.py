@@ -39,6 +39,12 @@ class HostKeyVerifier:
         elif finding.verdict is not HostKeyVerdict.KNOWN:
             raise _build_host_key_error(resolved, key, finding)
 
+    def judge(self, resolved: ResolvedHost, key: HostKey) -> tuple[HostKeyVerdict, HostKeyError | None]:
+        """What is known of ``key``, and the error of `verify` where it is not known. Nothing is recorded."""
+        _, finding = self._judged(resolved, key)
+        known = finding.verdict is HostKeyVerdict.KNOWN
+        return finding.verdict, None if known else _build_host_key_error(resolved, key, finding)
+
     def trust(self, resolved: ResolvedHost, key: HostKey) -> Path:
         """Record ``key``; returns the file. A key that is known already is not written twice.
 

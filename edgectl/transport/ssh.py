@@ -14,11 +14,11 @@ from typing import TypeVar
 import fabric
 import paramiko
 
-from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError
+from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError, HostKeyError
 from edgectl.model.inventory import Host
 from edgectl.transport.host_keys import HostKeyVerifier
 from edgectl.transport.jump_hosts import JumpHosts
-from edgectl.transport.known_hosts import HostKey
+from edgectl.transport.known_hosts import HostKey, HostKeyVerdict
 from edgectl.transport.passwords import PasswordStore
 from edgectl.transport.sockets import (
     CONNECT_TIMEOUT_S,
@@ -107,6 +107,10 @@ class SshTransport:
                 transport.close()
         done()
         return HostKey(shown.get_name(), shown.asbytes())
+
+    def judge_host_key(self, host: Host, key: HostKey) -> tuple[HostKeyVerdict, HostKeyError | None]:
+        """What known_hosts says of ``key``, and the error of a login; None where the key is known."""
+        return self._host_keys.judge(self._resolver.resolve(host), key)
 
     def trust(self, host: Host, key: HostKey) -> Path:
         """Record ``key`` for ``host`` in the user's known_hosts; returns the file.

@@ -1,30 +1,43 @@
-"""``edgectl trust HOST``: fetch the host key for comparison, then record it."""
+"""``edgectl trust``: fetch host keys for comparison, then record them."""
 
-import base64
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
-from edgectl.errors import HostKeyError
+from edgectl.errors import HostError
 from edgectl.model.inventory import Connection, Host
-from edgectl.transport.known_hosts import HostKey, build_known_hosts_name
+from edgectl.transport.known_hosts import HostKey, HostKeyVerdict
+from edgectl.transport.ssh import SshTransport
 
 
-def fetch_host_keys(host: Host, *, timeout: float = 15.0) -> list[tuple[str, str, str]]:
-    """Type, SHA256 fingerprint (``ssh-keygen -l``) and known_hosts line of each key that ``host`` presents.
+class ShownKey(NamedTuple):
+    """The key that ``host`` shows and what known_hosts says of it; both None where there was no handshake.
 
-    That is the key that a login would use. Nothing is recorded, and no login is tried. A local host has none.
-
-    Raises:
-        HostError: no handshake within ``timeout`` seconds. Jump hosts are verified as always.
+    ``error``: why a login would end with it; None where the key is known.
     """
-    if host.connection is Connection.LOCAL:
-        return []
-    from edgectl.transport.ssh import SshTransport
-    from edgectl.transport.ssh_config import SshConfigResolver
 
-    key = SshTransport().fetch_host_key(host, timeout=timeout)
-    resolved = SshConfigResolver().resolve(host)
-    name = build_known_hosts_name(resolved.hostname, resolved.port, resolved.host_key_alias)
-    return [(key.kind, key.fingerprint, f"{name} {key.text}")]
+    host: Host
+    key: HostKey | None
+    verdict: HostKeyVerdict | None
+    error: HostError | None
+
+
+def fetch_host_key(host: Host, *, timeout: float = 15.0) -> ShownKey:
+    """The key that a login to ``host`` would use, within ``timeout`` seconds.
+
+    Nothing is recorded, and no login is tried. Jump hosts are verified as always.
+    """
+    transport = SshTransport()
+    try:
+        key = transport.fetch_host_key(host, timeout=timeout)
+        return ShownKey(host, key, *transport.judge_host_key(host, key))
+    except HostError as error:
+        return ShownKey(host, None, None, error)
+
+
+def list_ssh_hosts(hosts: Sequence[Host]) -> tuple[Host, ...]:
+    """Those that are reached over SSH: only they have a host key."""
+    return tuple(host for host in hosts if host.connection is not Connection.LOCAL)
 
 
 def get_public_key_path(kind: str) -> str:
@@ -33,19 +46,13 @@ def get_public_key_path(kind: str) -> str:
     return f"/etc/ssh/ssh_host_{name.replace('dss', 'dsa')}_key.pub"
 
 
-def trust_host_key(host: Host, line: str) -> Path:
-    """Record the key in ``line`` (from `fetch_host_keys`) for ``host`` in the user's known_hosts; the file.
+def trust_host_key(shown: ShownKey) -> Path:
+    """Record the key that was shown in the user's known_hosts; the file.
 
     Raises:
         HostKeyError: another key is known for the host, this one is revoked, or the file cannot be written.
+        HostError: no key was shown.
     """
-    from edgectl.transport.ssh import SshTransport
-
-    try:
-        _, kind, encoded = line.split()[:3]
-        key = HostKey(kind, base64.b64decode(encoded, validate=True))
-    except ValueError:
-        raise HostKeyError(
-            "not a line of known_hosts", hint="use a line that fetch_host_keys returned", host=host.name
-        ) from None
-    return SshTransport().trust(host, key)
+    if shown.key is None:
+        raise shown.error or HostError("showed no key", host=shown.host.name)
+    return SshTransport().trust(shown.host, shown.key)

@@ -49,6 +49,7 @@ LIST_KEYS: KeysByName = {
     "event": _EVENT,
     "finding": ("host", "check", "level", "message", "hint"),
     "host-usage": (*_HOST, "history"),
+    "host-key": ("host", "key_type", "fingerprint", "state", "error", "hint"),
     "link": _LINK,
     "profile": ("task", "class", "host_names", "samples", "span_s", "enough", "resources"),
     "profiler": (
@@ -59,6 +60,7 @@ LIST_KEYS: KeysByName = {
         "scheme", "policy", "move_margin", "cycles", "handoffs", "unplaced", "unsettled", "assumed",
         "utilisation",
     ),
+    "awaited-task": ("task", "awaited", "reached", "state", "host"),
     "byte-counter": ("host", "counters", "tasks_counted", "robot_counters", "error", "hint"),
     "request": ("host", "phase", "task", "command", "stdin"),
     "revision": _REVISION,

@@ -25,7 +25,7 @@ def round_numbers(value: object) -> object:
     return value
 
 
-def encode_json(document: Mapping[str, object]) -> str:
+def encode_json(document: Mapping[str, object] | Sequence[Mapping[str, object]]) -> str:
     """The document, keys in the order given, with two spaces of indentation.
 
     Raises:

@@ -19,6 +19,7 @@ class OutputFormat(StrEnum):
     NAME = "name"
     MARKDOWN = "markdown"
     GITHUB = "github"
+    GITLAB = "gitlab"
     MERMAID = "mermaid"
     DOT = "dot"
 
@@ -33,7 +34,7 @@ NAMED_FORMATS: Formats = (*ITEM_FORMATS, OutputFormat.NAME)
 FLEET_FORMATS: Formats = (*WIDE_FORMATS, OutputFormat.NAME)
 EXPERIMENT_FORMATS: Formats = (*WIDE_FORMATS, OutputFormat.MARKDOWN)
 PLAN_FORMATS: Formats = (*FLEET_FORMATS, OutputFormat.MARKDOWN)
-VALIDATION_FORMATS: Formats = (*ITEM_FORMATS, OutputFormat.GITHUB)
+VALIDATION_FORMATS: Formats = (*ITEM_FORMATS, OutputFormat.GITHUB, OutputFormat.GITLAB)
 GRAPH_FORMATS: Formats = (OutputFormat.MERMAID, OutputFormat.DOT)
 CYCLE_FORMATS: Formats = (OutputFormat.TABLE, OutputFormat.JSONL)
 # Of a list that is printed again and again.

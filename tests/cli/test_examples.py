@@ -37,6 +37,8 @@ FULL = 4  # the other edges of the demo have no room for all that runs on edge1
 CODES = {
     "edgectl plan --without edge2 --detailed-exitcode": 3,  # slam-robot2 is pinned there
     "edgectl profile slam-robot1 --write --yes": 1,  # too few samples after these few commands
+    "edgectl wait map-merge --for completed --timeout 2s": 1,
+    "edgectl wait slam-robot1 --for gone --timeout 2s": 1,
     "edgectl drain edge1": FULL,
     "edgectl experiment run tasks/mission/experiment.yaml": BUSY,
     "edgectl experiment run tasks/mission/experiment.yaml -n 1 --out again": BUSY,

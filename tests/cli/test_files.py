@@ -95,10 +95,19 @@ def test_validate_shows_every_mistake_in_each_form(run: Run, site: Path) -> None
     github = run("validate", "-o", "github")
     assert github.code == 64
     assert github.out.splitlines()[0].startswith("::error file=inventories/local.yaml,line=9,col=")
+    gitlab = run("validate", "-o", "gitlab")
+    first = json.loads(gitlab.out)[0]
+    assert (gitlab.code, first["severity"], first["description"].endswith("did you mean capacity?)")) == (
+        64,
+        "major",
+        True,
+    )
+    assert first["location"] == {"path": "inventories/local.yaml", "lines": {"begin": 9}}
 
 
 def test_validate_of_good_files(run: Run, site: Path) -> None:
     assert run("validate", "-o", "github") == (0, "", "")
+    assert run("validate", "-o", "gitlab") == (0, "[]\n", "")
     assert json.loads(run("validate", "-o", "json").out)["item"]["edge_names"] == ["edge1", "edge2", "edge3"]
 
 

@@ -101,7 +101,7 @@ def jobs() -> list[tuple[str, list[str]]]:
             found.append(
                 ("github", [step["run"] for step in document["jobs"]["plan"]["steps"] if "run" in step])
             )
-        else:
+        elif "fleet" in document:
             found.append(("gitlab", list(document["fleet"]["script"])))
     return found
 
@@ -125,6 +125,20 @@ def test_the_commands_of_each_job_run(name: str, lines: list[str], tmp_path: Pat
         assert done.returncode == 0, done.stderr
     assert (tmp_path / "repo" / "plan.md").read_text().startswith("<!-- edgectl-plan -->\n**Plan: ")
     assert not (tmp_path / "state").exists(), "a plan from a snapshot leaves nothing behind"
+
+
+def test_the_hook_of_pre_commit_runs_in_a_fleet(tmp_path: Path) -> None:
+    (hook,) = yaml.safe_load((ROOT / ".pre-commit-hooks.yaml").read_text())
+    assert f"hooks: [{{id: {hook['id']}}}]" in (ROOT / "docs" / "ci.md").read_text()
+    write_scaffold(tmp_path)
+    files = [str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.yaml")]
+    assert {
+        re.search(hook["files"], name) is not None for name in files if name.startswith(("inv", "tasks"))
+    } == {True}
+    done = subprocess.run(
+        ["bash", "-ec", hook["entry"]], cwd=tmp_path, env=environment(tmp_path / "state"), check=False
+    )
+    assert done.returncode == 0
 
 
 def test_links_between_pages_lead_somewhere() -> None:

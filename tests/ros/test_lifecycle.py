@@ -77,6 +77,8 @@ def test_two_nodes_of_one_name_are_left_alone(lab: AgentHost, tmp_path: Path, do
     other_folder = tmp_path / "other"
     other_folder.mkdir()
     other = LifecycleTask(AgentHost("edge2", lab.state), other_folder, domain)
+    # One helper for both: each discovers the nodes for itself.
+    other.ros = task.ros
     other.start()
     try:
         eventually(

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,6 +17,8 @@ from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostSample, TaskSample, TaskState
 from edgectl.model.standby_plan import StandbyAction, StandbyReason, StandbyStep
 from edgectl.model.task import Need, NeedCondition, OnboardRule, Task
+from edgectl.scheduler.assign import assign
+from edgectl.solver.highs import make_solver
 from tests.builders import (
     GI,
     NOW,
@@ -34,6 +37,7 @@ from tests.builders import (
 from tests.scheduler.fleets import NO_MEMORY, hosts_by_task, run_assign
 
 MI = 2.0**20
+PAGE = Path(__file__).parents[2] / "docs/concepts/handoff.md"
 CPU_ONLY = Policy(weights=Weights(cpu=1.0, memory=0.0, network=0.0, task=0.0))
 SLAM = a_task("slam", cpu=1.0, memory=GI, standby=a_standby_rule(memory=400 * MI))
 
@@ -80,6 +84,37 @@ def test_the_runner_up_keeps_the_copy_and_its_memory_is_reserved() -> None:
     assert found.expected["edge1"].used["memory"] == GI
     assert found.expected["edge2"].used["memory"] == 400 * MI
     assert found.expected["edge2"].used["cpu"] == 1.0
+
+
+def test_the_example_of_the_page() -> None:
+    """docs/concepts/handoff.md: the placement, and the failover to a host that is not the best one."""
+    policy = Policy(weights=Weights(cpu=1.0, memory=1.0, network=0.0, task=0.0))
+    samples = {
+        "edge1": a_sample(used=0.2, used_memory=0.5 * GI),
+        "edge2": a_sample(used=1.0, used_memory=GI),
+        "edge3": a_sample(used=0.5, used_memory=3.2 * GI),
+    }
+    found = decide(SLAM, samples=samples, policy=policy)
+    (decision,) = found.decisions
+    totals = {entry.host: entry.total for entry in decision.ranking}
+    assert totals == pytest.approx({"edge1": 0.6625, "edge2": 0.5, "edge3": 0.2875})
+    assert tell(found) == [("edge2", "start", "runner-up")]
+    assert found.expected["edge2"].used["memory"] / GI == pytest.approx(1.390625)
+    page = PAGE.read_text()
+    assert all(f"| {total:.4f} |" in page for total in totals.values() if total is not None)
+    full = {**samples, "edge2": a_sample(used=1.0, used_memory=(4 - 0.46) * GI)}
+    assert tell(decide(SLAM, samples=full, policy=policy)) == [("edge3", "start", "runner-up")]
+    later = {
+        "edge1": silent(),
+        "edge2": a_sample(
+            used=1.0, used_memory=1.25 * GI, standbys={"slam": a_copy(used=Usage(memory=0.25 * GI))}
+        ),
+        "edge3": a_sample(used=0.5, used_memory=GI),
+    }
+    gone = decide(SLAM, samples=later, policy=policy)
+    assert gone.decisions[0].host == "edge2"
+    assert gone.decisions[0].lead == pytest.approx(-0.0625)
+    assert tell(gone) == [("edge2", "activate", "task-here"), ("edge3", "start", "runner-up")]
 
 
 def test_several_copies_are_on_as_many_hosts() -> None:
@@ -437,3 +472,23 @@ def test_a_step_that_only_starts_a_copy_changes_something() -> None:
     samples["edge2"] = a_sample(standbys={"slam": a_copy()})
     (step,) = list_steps(decide(SLAM, samples=samples), SLAM, samples=samples)
     assert not step.changes
+
+
+@pytest.mark.parametrize("better", [{"rebalance": True}, {"optimal": True}], ids=["rebalance", "optimal"])
+def test_better_plans_of_tasks_leave_copies_to_the_end(better: dict[str, Any]) -> None:
+    """The task is activated where its copy waits, whatever the sum of utilities; and copies are placed."""
+    nav = a_task("nav", cpu=2.0, standby=a_standby_rule(memory=GI))
+    samples = {
+        "edge1": a_sample(used=1.0, standbys={"slam": a_copy()}),
+        "edge2": a_sample(used=2.0, tasks={"nav": a_task_run("nav", used=Usage(cpu=2.0))}),
+        "edge3": a_sample(),
+    }
+    policy = replace(CPU_ONLY, **better)
+    inventory = an_inventory(*map(an_edge, samples))
+    solve = make_solver() if policy.optimal else None
+    found = assign(inventory, some_tasks(SLAM, nav), a_snapshot(samples), NO_MEMORY, policy, NOW, solve)
+    assert hosts_by_task(found)["slam"] == "edge1"
+    assert tell(found)[0] == ("edge1", "activate", "task-here")
+    assert [action for _, action, _ in tell(found, "nav")] == ["start"]
+    plain = decide(SLAM, nav, samples=samples)
+    assert found.standbys == plain.standbys

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.errors import HostKeyError
+from edgectl.errors import HostError, HostKeyError
 from edgectl.model.inventory import Connection, Host, Role
 from edgectl.transport.known_hosts import (
     HostKey,
@@ -18,7 +18,7 @@ from edgectl.transport.known_hosts import (
     build_known_hosts_name,
     hash_host_name,
 )
-from edgectl.transport.trust import fetch_host_keys, trust_host_key
+from edgectl.transport.trust import fetch_host_key, list_ssh_hosts, trust_host_key
 from tests.sshd import Lab, make_key
 
 
@@ -214,35 +214,38 @@ def test_four_thousand_lines_are_read_and_searched_quickly(tmp_path: Path, other
 
 def test_trust(lab: Lab) -> None:
     lab.known_hosts.write_text("")
-    host = lab.host("edge1")
-    [(kind, fingerprint, line)] = fetch_host_keys(host, timeout=20)
-    server = lab["edge1"]
-    assert (kind, fingerprint, line) == (
-        "ssh-ed25519",
-        parse_key(server.key).fingerprint,
-        server.known_hosts_line.strip(),
-    )
+    host, server = lab.host("edge1"), lab["edge1"]
+    shown = fetch_host_key(host, timeout=20)
+    assert shown.key == parse_key(server.key)
+    assert (shown.verdict, "not known" in str(shown.error)) == (HostKeyVerdict.UNKNOWN, True)
     assert lab.known_hosts.read_text() == ""
-    assert trust_host_key(host, line) == lab.known_hosts
-    assert trust_host_key(host, line) == lab.known_hosts
+    assert trust_host_key(shown) == lab.known_hosts
+    assert trust_host_key(shown) == lab.known_hosts
     assert lab.known_hosts.read_text() == server.known_hosts_line
+    assert fetch_host_key(host, timeout=20)[2:] == (HostKeyVerdict.KNOWN, None)
 
 
 def test_trust_does_not_replace_a_key(lab: Lab, tmp_path: Path) -> None:
     server, other = lab["edge1"], make_key(tmp_path / "other")
     lab.known_hosts.write_text(f"[{server.address}]:{server.port} {other}\n")
-    [(_, _, line)] = fetch_host_keys(lab.host("edge1"), timeout=20)
+    shown = fetch_host_key(lab.host("edge1"), timeout=20)
+    assert (shown.verdict, "changed" in str(shown.error)) == (HostKeyVerdict.CHANGED, True)
     with pytest.raises(HostKeyError, match="changed"):
-        trust_host_key(lab.host("edge1"), line)
-    with pytest.raises(HostKeyError, match="not a line"):
-        trust_host_key(lab.host("edge1"), "nonsense")
+        trust_host_key(shown)
 
 
-def test_trust_of_this_machine() -> None:
-    assert (
-        fetch_host_keys(Host(name="here", role=Role.EDGE, host="localhost", connection=Connection.LOCAL))
-        == []
-    )
+def test_a_host_without_an_answer_has_no_key_to_record(lab: Lab) -> None:
+    lab["edge1"].stop()
+    shown = fetch_host_key(lab.host("edge1"), timeout=20)
+    assert (shown.key, shown.verdict) == (None, None)
+    with pytest.raises(HostError, match="refused"):
+        trust_host_key(shown)
+    lab["edge1"].restart()
+
+
+def test_this_machine_has_no_host_key() -> None:
+    here = Host(name="here", role=Role.EDGE, host="localhost", connection=Connection.LOCAL)
+    assert list_ssh_hosts([here]) == ()
 
 
 def test_lookup_names() -> None:

@@ -1,9 +1,10 @@
 """Errors: position, line, caret, hint; the same records as JSON and as annotations."""
 
 import json
+from dataclasses import replace
 
 from edgectl.errors import ConnectError, InputError, LockBusyError, Problem, StalePlanError
-from edgectl.views import errors, github
+from edgectl.views import errors, github, gitlab
 
 PROBLEM = Problem(
     file="tasks/a.yaml",
@@ -66,3 +67,19 @@ def test_github_annotations_escape_what_would_end_them() -> None:
         github.problems([odd])
         == "::warning file=a%2Cb%3Ac.yaml,line=2,col=3,endColumn=5,title=EC1::100%25%0Asure\n"
     )
+
+
+def test_a_report_of_gitlab_knows_a_problem_again_when_it_has_moved() -> None:
+    here = Problem(file="a.yaml", line=2, column=3, code="EC1", message="no", source="  x: 1", warning=True)
+    moved, other = replace(here, line=9), replace(here, source="  y: 1")
+    entries = json.loads(gitlab.render_report([here, moved, other]))
+    assert entries[0]["severity"] == "minor"
+    assert entries[0]["fingerprint"] == entries[1]["fingerprint"] != entries[2]["fingerprint"]
+    assert [entry["location"]["lines"]["begin"] for entry in entries] == [2, 9, 2]
+
+
+def test_a_problem_of_a_whole_file_has_a_line_for_gitlab() -> None:
+    (entry,) = json.loads(
+        gitlab.render_report([Problem(file="a.yaml", line=0, column=0, code="EC1", message="no")])
+    )
+    assert entry["location"]["lines"]["begin"] == 1

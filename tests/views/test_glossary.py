@@ -14,7 +14,9 @@ from edgectl.experiments.views.map_score import MapScoreView
 from edgectl.experiments.views.replay import ReplayView
 from edgectl.formats.document import Document
 from edgectl.model.cycle import Cycle
+from edgectl.model.host_key import HostKeyReport
 from edgectl.model.resource import RESOURCES
+from edgectl.rules.awaited_state import AwaitedState, TaskProgress
 from edgectl.views.byte_counters import ByteCountersView
 from edgectl.views.diagnosis import DiagnosisView
 from edgectl.views.dry_run import RequestsView
@@ -22,6 +24,7 @@ from edgectl.views.events import EventsView
 from edgectl.views.explanation import ExplanationView
 from edgectl.views.glossary import KeyEntry, KeyType, list_keys
 from edgectl.views.history import HistoryView, RevisionView
+from edgectl.views.host_keys import HostKeysView
 from edgectl.views.listing import ListingChangesView
 from edgectl.views.listing_items import ListingKind, compare_listings
 from edgectl.views.output import EnvelopeView, ItemView, ListView, View
@@ -29,6 +32,7 @@ from edgectl.views.profile import ProfileView
 from edgectl.views.profilers import ProfilersView
 from edgectl.views.results import DrainView
 from edgectl.views.status import StatusView
+from edgectl.views.wait import WaitView
 from edgectl.views.watch_cycle import CycleView
 from tests.builders import NOW
 from tests.experiments import test_experiment_view, test_simulation_and_replay_views
@@ -81,6 +85,10 @@ def list_views() -> Iterator[View]:
     yield test_simulation_and_replay_views.VIEW
     yield ReplayView(results=[test_simulation_and_replay_views.REPLAYED])
     yield MapScoreView(0.5)
+    yield HostKeysView(
+        [HostKeyReport(host="edge1", key_type="ssh-ed25519", fingerprint="SHA256:x", state="known")]
+    )
+    yield WaitView([TaskProgress(task="slam", reached=True, state="ready", host="edge1")], AwaitedState.READY)
 
 
 VIEWS = list(list_views())

@@ -75,9 +75,23 @@ class Graph:
         return ""
 
     def count_nodes(self, node: str) -> int:
-        """Count the nodes of this full name."""
+        """Count the nodes of this full name, or those with its lifecycle where they are more."""
         known = self.node.get_node_names_and_namespaces()
-        return sum(space.rstrip("/") + "/" + name == node for name, space in known)
+        named: int = sum(space.rstrip("/") + "/" + name == node for name, space in known)
+        # Of rclpy since 2024; names come later than the services.
+        count: "Any" = getattr(self.node, "count_services", lambda _name: 0)
+        return max(named, int(count(node + "/change_state"))) - self._count_dead(node)
+
+    def _count_dead(self, node: str) -> int:
+        """Count the nodes of this name whose process on this machine has ended.
+
+        The graph goes on naming one that was killed for as long as its lease.
+        """
+        found = self._list_writers()
+        hosts = {gid[:4] for name, gid in found if name == "/" + self.node.get_name()}
+        processes = {struct.pack("<H", int(name) & 0xFFFF) for name in os.listdir("/proc") if name.isdigit()}
+        gids = [gid for name, gid in found if name == node and gid[:2] == _FAST_DDS and gid[:4] in hosts]
+        return sum(gid[4:6] not in processes for gid in gids)
 
     def is_node_below(self, node: str, root: int) -> bool:
         """Whether a process below ``root`` has the node; also where processes cannot be told from writers."""
@@ -123,16 +137,19 @@ class Graph:
         """List the nodes of processes of this host, as far as the identifiers of their writers have the
         process: those of Fast DDS do.
         """
-        writers = self.node.get_publishers_info_by_topic("/parameter_events")
-        found = [
-            (each.node_namespace.rstrip("/") + "/" + each.node_name, bytes(each.endpoint_gid))
-            for each in writers
-        ]
+        found = self._list_writers()
         hosts = {gid[:4] for name, gid in found if name == "/" + self.node.get_name()}
         wanted = {struct.pack("<H", pid & 0xFFFF) for pid in pids}
         return {
             name for name, gid in found if gid[:2] == _FAST_DDS and gid[:4] in hosts and gid[4:6] in wanted
         }
+
+    def _list_writers(self) -> "list[tuple[str, bytes]]":
+        """List (node, identifier) of the writer that each node has."""
+        return [
+            (each.node_namespace.rstrip("/") + "/" + each.node_name, bytes(each.endpoint_gid))
+            for each in self.node.get_publishers_info_by_topic("/parameter_events")
+        ]
 
     def _read_lifecycle(self, node: str) -> str:
         if node not in self.clients:
@@ -244,9 +261,11 @@ class Lifecycles:
         # It also declines because it is in the new state already: that counts, not its answer.
         if self._call(node, "change_state", request, until) is None:
             return "node %s does not answer" % node
-        state, fault = self._read_state(node, until)
-        if fault or state == goal:
-            return fault
+        # Another one may have been discovered meanwhile.
+        fault = self._find_ambiguity(node, 0)
+        state, silent = self._read_state(node, until)
+        if fault or silent or state == goal:
+            return fault or silent
         return "node %s is %s, not %s" % (node, state, goal)
 
     def _read_state(self, node: str, until: float) -> "tuple[str, str]":
