@@ -276,14 +276,18 @@ def test_a_settled_plan_is_done_once_it_is_applied(case: Case) -> None:
 
 
 def without_use(case: Case) -> Case:
-    """Return the case with copies that use nothing: what one used is forgotten once it is none."""
+    """Return the case with runs and copies that use nothing of their own: what one used counts for nothing
+    while it starts anew, and is forgotten once it is gone.
+    """
     samples = {
-        host: replace(
-            sample, standbys={name: replace(copy, used=Usage()) for name, copy in sample.standbys.items()}
-        )
+        host: replace(sample, tasks=drop_use(sample.tasks), standbys=drop_use(sample.standbys))
         for host, sample in case.snapshot.hosts.items()
     }
     return replace(case, snapshot=replace(case.snapshot, hosts=samples))
+
+
+def drop_use(samples: Mapping[str, TaskSample]) -> dict[str, TaskSample]:
+    return {name: replace(sample, used=Usage()) for name, sample in samples.items()}
 
 
 @quick
