@@ -1,5 +1,5 @@
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: latency ros ros-whole throughput quality demo experiment test test-fast check style setup audit bench faults fuzz soak clean
+.PHONY: latency handoffs ros ros-whole throughput quality demo experiment test test-fast check style setup audit bench faults fuzz soak clean
 PY := .venv/bin/python
 export PYTHON
 
@@ -51,7 +51,12 @@ ros-whole: setup
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite --whole tests/ros/test_stops.py
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.ros.moves
 
+# Gap and overlaps of warm moves between computers in network namespaces (root): docs/concepts/handoff.md.
+handoffs: setup
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.handoffs --moves $(or $(MOVES),200)
+
 # Byte counters against interfaces for ten mixes of TCP, Fast DDS and Cyclone DDS: the table of docs/performance.md. Some minutes.
+# A short form runs in the suite.
 throughput: setup
 	@.ci/need-ros
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.ros.throughput --window $(or $(WINDOW),10)

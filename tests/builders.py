@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
+from edgectl.model.check import Check, CheckLocation
 from edgectl.model.demand import Demand, Quantity
 from edgectl.model.inventory import Host, Inventory, Limits, Role
 from edgectl.model.manager_state import ManagerState
@@ -17,6 +18,7 @@ from edgectl.model.snapshot import (
     TaskSample,
     TaskState,
 )
+from edgectl.model.standby import Activation, StandbyRule
 from edgectl.model.task import HostRules, Need, NeedCondition, Task, Tasks
 from edgectl.names import natural_key
 
@@ -95,6 +97,25 @@ def a_task(
     return replace(task, **fields)  # type: ignore[arg-type]
 
 
+def a_standby_rule(
+    *,
+    hosts: int = 1,
+    cpu: float | str | None = None,
+    memory: float | str | None = None,
+    **activation: Any,
+) -> StandbyRule:
+    """A pair of commands, and what a copy needs while it is inactive."""
+    return StandbyRule(
+        activation=Activation(
+            activate=Check(command="wake", on=CheckLocation.HOST),
+            deactivate=Check(command="sleep", on=CheckLocation.HOST),
+            **activation,
+        ),
+        hosts=hosts,
+        demand=Demand(cpu=a_quantity(cpu), memory=a_quantity(memory)),
+    )
+
+
 def some_tasks(*tasks: Task, policy: Policy | None = None) -> Tasks:
     """A task file after expansion."""
     ordered = sorted(tasks, key=lambda task: natural_key(task.name))
@@ -129,6 +150,7 @@ def a_sample(
     used_memory: float = 0.0,
     links: Mapping[str, LinkSample] | None = None,
     tasks: Mapping[str, TaskSample] | None = None,
+    standbys: Mapping[str, TaskSample] | None = None,
     role: Role = Role.EDGE,
     age: float = 0.0,
 ) -> HostSample:
@@ -143,6 +165,7 @@ def a_sample(
         },
         links=links or {},
         tasks=tasks or {},
+        standbys=standbys or {},
     )
 
 

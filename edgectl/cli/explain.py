@@ -53,6 +53,8 @@ def explain_command(
     )
     found = explain_placement(fleet, made, task, None if snapshot else compute_noise_by_host(fleet))
     step = next(step for step in made.steps if step.task == task)
-    console.print_view(ExplanationView(step, found, list_unreachable_notes(made.snapshot)), output)
+    console.print_view(
+        ExplanationView(step, found, list_unreachable_notes(made.snapshot), made.snapshot.manager), output
+    )
     console.print_notes(list_lost_task_notes(made.snapshot, {task}) + list_slack_notes(made, {task}))
     raise Exit(exit_codes.of_plan(made, detailed=False, allow_unreachable=allow_unreachable))

@@ -127,7 +127,7 @@ def build_plan_filter(
 
 def _filter_plan(plan: Plan, wanted: frozenset[str], *, quiet: bool) -> Plan:
     chosen = limit_plan_to_tasks(plan, wanted)
-    left = sum(step.action.changes for step in plan.steps) - sum(step.action.changes for step in chosen.steps)
+    left = sum(step.changes for step in plan.steps) - sum(step.changes for step in chosen.steps)
     if left and not quiet:
         console.print_message(
             f"warning: {left} other changes are left out, although this plan depends on them"

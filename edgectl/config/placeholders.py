@@ -16,7 +16,7 @@ from edgectl.model.task import DetectRule
 # Keys of a task whose values may contain placeholders.
 PLACEHOLDER_KEYS = (
     *("command", "env", "workdir", "ready", "alive", "done_when"),
-    *("handoff", "detect", "latency", "heard"),
+    *("handoff", "detect", "latency", "heard", "standby", "state"),
 )
 _PLACEHOLDER = re.compile(r"(?<!\$)\{(robot|robot_host)\}")
 

@@ -65,6 +65,8 @@ def check_placement_rules(
             _check_together(units[name], tasks, drafts[name], fleet, problems)
         if task.spread is not None:
             _check_spread(task, tasks, units, drafts[name], fleet, problems)
+        if task.standby is not None:
+            _check_standby(task, units.get(name, ()), drafts[name], fleet, problems)
 
 
 def _check_apart(
@@ -149,6 +151,24 @@ def _check_spread(
             f"{task.name} and {together[0]} are spread and together",
             "remove spread, or the together that joins them",
         )
+
+
+def _check_standby(
+    task: Task, unit: tuple[str, ...], draft: TaskDraft, fleet: FleetIndex, problems: Problems
+) -> None:
+    """Another host may run the task, and it alone."""
+    mark = draft.template.fields.node.key_mark("standby")
+    mates = [name for name in unit if name != task.name]
+    if mates:
+        message = f"standby of {task.name}, which is together with {mates[0]}: its copy would be without it"
+        hint = "remove standby, or the together that joins them"
+        problems.add(mark, ProblemCode.CONTRADICTION, message, hint)
+        return
+    allowed = sorted(_list_allowed_hosts(task, fleet), key=natural_key)
+    if len(allowed) == 1 and task.onboard is not OnboardRule.ONLY:
+        message = f"standby of {task.name} needs a second host, and only {allowed[0]} may run it"
+        hint = "allow another host in its hosts, or remove standby"
+        problems.add(mark, ProblemCode.CONTRADICTION, message, hint)
 
 
 def _check_groups(tasks: Mapping[str, Task], drafts: Mapping[str, TaskDraft], problems: Problems) -> None:

@@ -40,6 +40,7 @@ from edgectl.config.schema import (
     build_mapping_schema,
     build_object_schema,
 )
+from edgectl.config.standby_readers import read_standby, read_state
 from edgectl.config.task_readers import (
     DETECT_KEYS,
     HANDOFF_KEYS,
@@ -102,6 +103,8 @@ TASK_KEYS: Mapping[str, NodeReader] = {
     "stop": read_stop,
     "restart": enum_reader(RestartPolicy),
     "handoff": record_reader(HANDOFF_KEYS, HandoffContract, "handoff"),
+    "standby": read_standby,
+    "state": read_state,
     "env": read_environment,
     "env_command": read_argument_vector,
     "workdir": read_text,

@@ -12,7 +12,7 @@ from edgectl.model.check import Check, CheckLocation, OnUnhealthy
 from edgectl.model.demand import Demand
 from edgectl.model.latency import HeardRule, LatencyRule
 from edgectl.model.resource import RESOURCES
-from edgectl.model.task import OnboardRule, RestartPolicy, TaskKind, UnreachablePolicy
+from edgectl.model.task import HandoffOrder, OnboardRule, RestartPolicy, TaskKind, UnreachablePolicy
 from edgectl.units import format_duration
 
 # Heartbeats leave every quarter of self_fence, and those of one second count as one on the manager's disk.
@@ -61,6 +61,7 @@ def _check_managed(template: TaskTemplate, problems: Problems) -> None:
     _check_on_unhealthy(fields, problems)
     _check_self_fence(fields, problems)
     _check_foreground(fields, problems)
+    _check_standby(fields, problems)
 
 
 def _check_on_unhealthy(fields: Fields, problems: Problems) -> None:
@@ -93,6 +94,23 @@ def _check_foreground(fields: Fields, problems: Problems) -> None:
             "drop the & at its end",
             warning=True,
         )
+
+
+def _check_standby(fields: Fields, problems: Problems) -> None:
+    """A copy waits on another host than the task, for a task that runs on."""
+    if fields.values.get("standby") is None:
+        return
+    mark = fields.node.key_mark("standby")
+    if fields.values.get("kind") is TaskKind.JOB:
+        hint = "remove standby, or kind: job"
+        problems.add(mark, ProblemCode.CONTRADICTION, "a job has no standby: it ends by itself", hint)
+    if fields.values.get("onboard") is OnboardRule.ONLY:
+        message = "standby and onboard: only do not go together: no other host may run the task"
+        problems.add(mark, ProblemCode.CONTRADICTION, message, "remove standby, or onboard: only")
+    handoff = fields.values.get("handoff")
+    if handoff is not None and handoff.order is HandoffOrder.START_FIRST:
+        message = "standby and order: start-first do not go together: two instances are never active at once"
+        problems.add(mark, ProblemCode.CONTRADICTION, message, "remove standby, or order: start-first")
 
 
 def _check_self_fence(fields: Fields, problems: Problems) -> None:
@@ -137,6 +155,11 @@ def _check_unmanaged(template: TaskTemplate, problems: Problems) -> None:
             "remove alive, or remove managed: false",
         )
     _check_unmanaged_latency(fields, problems)
+    for key in ("standby", "state"):
+        if key in fields:
+            mark = fields.node.key_mark(key)
+            message = f"{key} is for moves, and a task with managed: false is never moved"
+            problems.add(mark, ProblemCode.CONTRADICTION, message, f"remove {key}, or remove managed: false")
     if "detect" not in fields:
         message = f"task {template.name} has managed: false, so it needs detect"
         problems.add(

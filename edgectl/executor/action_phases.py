@@ -5,14 +5,14 @@ from collections.abc import Iterable, Mapping
 from edgectl.dataclass import dataclass
 from edgectl.errors import HostError
 from edgectl.executor import host_requests
-from edgectl.executor.dependencies import find_replacement_hold, is_replacement, list_stop_hosts
+from edgectl.executor.dependencies import list_stop_hosts
 from edgectl.model.assignment import Verdict
 from edgectl.model.check import Check, CheckLocation
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.result import Phase
 from edgectl.model.snapshot import TaskSample, TaskState
-from edgectl.model.task import HandoffOrder, Need, NeedCondition, Task, Tasks
+from edgectl.model.task import Need, NeedCondition, Task, Tasks
 
 # One wait request lasts at most so long, so that a lost connection is not mistaken for a slow task.
 WAIT_PIECE_S = 15.0
@@ -67,27 +67,6 @@ class PlannedPhase:
 PlannedPhases = tuple[PlannedPhase, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StartPhases:
-    """The phases of a start, move or restart.
-
-    ``needs``: waits for predecessors. ``prepare``: is the host there, is it safe; nothing is touched yet.
-    ``hold`` and ``release``: hooks of the handoff.
-    ``change``: stop, start and ready in the order of the handoff.
-    """
-
-    needs: PlannedPhases
-    prepare: PlannedPhases
-    hold: PlannedPhases = ()
-    change: PlannedPhases
-    release: PlannedPhases = ()
-
-    @property
-    def in_order(self) -> PlannedPhases:
-        """All phases as they are performed where none fails."""
-        return (*self.needs, *self.prepare, *self.hold, *self.change, *self.release)
-
-
 def build_stop_phases(step: Step, inventory: Inventory, tasks: Tasks) -> PlannedPhases:
     """What a step stops before anything starts.
 
@@ -112,57 +91,17 @@ def build_adopt_phases(step: Step, inventory: Inventory, tasks: Tasks) -> Planne
     task = tasks.tasks.get(step.task)
     if step.action is not Action.ADOPT or task is None:
         return ()
-    host = _get_host(inventory, step.decision.host or "")
+    host = get_host(inventory, step.decision.host or "")
     body = host_requests.build_takeover_request(task, host, inventory.hosts)
     request = PlannedRequest(host=host, body=body)
     return (PlannedPhase(phase=Phase.ADOPT, task=task.name, requests=(request,)),)
 
 
-def build_start_phases(
-    step: Step, task: Task, needs: Iterable[Need], plan: Plan, inventory: Inventory, tasks: Tasks
-) -> StartPhases:
-    """The phases of a starting step (one with a host) of ``plan``; ``needs``: the predecessors to wait for.
-
-    Raises:
-        HostError: a predecessor does not run, or a host left the inventory or is never contacted.
-    """
-    new, old = step.decision.host or "", step.decision.previous_host
-    waits = _build_need_phases(needs, plan, inventory, tasks)
-    prepare = (build_reach_phase(task.name, new, inventory),)
-    start_first = _is_start_first(step, task)
-    replaces = _list_node_addresses(plan, old or "", task.name) if start_first else None
-    start = build_run_phases(task, new, inventory, replaces=replaces)
-    if step.action is Action.START and not is_replacement(step):
-        return StartPhases(needs=waits, prepare=prepare, change=start)
-    release = build_hook_phases(Phase.RELEASE, task, task.handoff.release, new, inventory)
-    if is_replacement(step):
-        hold = build_hook_phases(Phase.HOLD, task, find_replacement_hold(task), new, inventory)
-        return StartPhases(needs=waits, prepare=prepare, hold=hold, change=start, release=release)
-    old = old or new
-    stop = build_stop_phase(task.name, task, old, inventory, instance=step.instances.get(old))
-    leave = build_leaving_phases(task, old, step, inventory) if start_first else ()
-    return StartPhases(
-        needs=waits,
-        prepare=(*prepare, *_build_safe_phases(task, old, inventory), *leave),
-        hold=build_hook_phases(Phase.HOLD, task, task.handoff.hold, old, inventory),
-        change=(*start, stop) if start_first else (stop, *start),
-        release=release,
-    )
-
-
 def build_reach_phase(task: str, host_name: str, inventory: Inventory) -> PlannedPhase:
     """Make sure that a host answers before anything is done for its sake."""
-    host = _get_host(inventory, host_name)
+    host = get_host(inventory, host_name)
     request = PlannedRequest(host=host, body=host_requests.build_status_request(host))
     return PlannedPhase(phase=Phase.REACH, task=task, requests=(request,))
-
-
-def _is_start_first(step: Step, task: Task) -> bool:
-    """Whether the old instance of the step runs until the new one is ready."""
-    if step.action is Action.START or is_replacement(step):
-        return False
-    elsewhere = step.decision.previous_host not in (None, step.decision.host)
-    return elsewhere and task.handoff.order is HandoffOrder.START_FIRST
 
 
 def build_leaving_phases(
@@ -172,7 +111,7 @@ def build_leaving_phases(
 
     ``seconds``: for how long at most; as long as that may take where it is None.
     """
-    host = _get_host(inventory, host_name)
+    host = get_host(inventory, host_name)
     instance = step.instances.get(host_name)
     if host.ros is None or instance is None:
         return ()
@@ -181,13 +120,6 @@ def build_leaving_phases(
     return (
         PlannedPhase(phase=Phase.REACH, task=task.name, requests=(PlannedRequest(host=host, body=body),)),
     )
-
-
-def _list_node_addresses(plan: Plan, host: str, task: str) -> tuple[str, ...]:
-    """List the addresses of the nodes of the instance on ``host``, as far as a ROS 1 master had them."""
-    sample = plan.snapshot.hosts.get(host)
-    run = sample.tasks.get(task) if sample is not None else None
-    return tuple(sorted(set(run.nodes.values()))) if run is not None else ()
 
 
 def build_stop_phase(
@@ -203,7 +135,7 @@ def build_stop_phase(
 
     ``lease_s``: how long a graph of ROS 2 is asked until it has forgotten the nodes.
     """
-    host = _get_host(inventory, host_name)
+    host = get_host(inventory, host_name)
     lease_s = lease_s if host.ros is not None and host.ros.version == 2 else 0.0
     body = host_requests.build_stop_request(name, host, task=task, instance=instance, lease_s=lease_s)
     grace = task.stop.grace if task else _UNKNOWN_GRACE_S
@@ -224,16 +156,16 @@ def build_run_phases(
     """Start a task on a host and wait until it is ready by its own check (up for its time, where it has
     none). ``replaces``: addresses of nodes of an instance that runs meanwhile; None where none does.
     """
-    host = _get_host(inventory, host_name)
+    host = get_host(inventory, host_name)
     body = host_requests.build_start_request(task, host, inventory.hosts, replaces=replaces)
     start = PlannedPhase(phase=phase, task=task.name, requests=(PlannedRequest(host=host, body=body),))
-    return start, _build_ready_phase(task, host, inventory)
+    return start, build_ready_phase(task, host, inventory)
 
 
-def _build_ready_phase(task: Task, host: Host, inventory: Inventory) -> PlannedPhase:
+def build_ready_phase(task: Task, host: Host, inventory: Inventory) -> PlannedPhase:
     """Wait on the host; a check on the robot is asked there, and its yes is marked on the host."""
     timeout = _get_ready_timeout(task)
-    requests = [_build_wait(task, host, host_requests.NO_INSTANCE, timeout)]
+    requests = [build_wait(task, host, host_requests.NO_INSTANCE, timeout)]
     if task.ready is not None and task.ready.on is CheckLocation.ROBOT:
         robot = _get_check_robot(task, inventory)
         body = host_requests.build_check_request(task, task.ready, robot, inventory.hosts)
@@ -250,19 +182,29 @@ def get_up_time(task: Task) -> float:
     return DEFAULT_UP_S if task.up is None else task.up
 
 
+def get_copy_up_time(task: Task) -> float:
+    """How long (s) an inactive copy must have run until it can be activated; 0 where that can be asked."""
+    rule = task.activation
+    if rule is None or rule.ready is not None or rule.lifecycle is not None:
+        return 0.0
+    return DEFAULT_UP_S if task.up is None else task.up
+
+
 def _get_ready_timeout(task: Task) -> float:
     return task.ready.timeout if task.ready else DEFAULT_READY_S + get_up_time(task)
 
 
-def _build_wait(task: Task, host: Host, instance: str, timeout_s: float) -> PlannedRequest:
+def build_wait(
+    task: Task, host: Host, instance: str, timeout_s: float, *, up_s: float | None = None
+) -> PlannedRequest:
+    """Wait on the host until an instance is ready; ``up_s``: of `build_wait_request`, None: the task's."""
     piece = min(WAIT_PIECE_S, timeout_s)
-    body = host_requests.build_wait_request(
-        task.name, host, instance=instance, timeout_s=piece, up_s=get_up_time(task)
-    )
+    up_s = get_up_time(task) if up_s is None else up_s
+    body = host_requests.build_wait_request(task.name, host, instance=instance, timeout_s=piece, up_s=up_s)
     return PlannedRequest(host=host, body=body, timeout_s=piece)
 
 
-def _build_safe_phases(task: Task, host_name: str, inventory: Inventory) -> PlannedPhases:
+def build_safe_phases(task: Task, host_name: str, inventory: Inventory) -> PlannedPhases:
     """Wait until a handoff is safe, at most its timeout."""
     rule = task.handoff.safe_when
     if rule is None:
@@ -286,10 +228,12 @@ def build_hook_phases(
     return (PlannedPhase(phase=phase, task=task.name, requests=(request,)),)
 
 
-def _build_need_phases(
-    needs: Iterable[Need], plan: Plan, inventory: Inventory, tasks: Tasks
-) -> PlannedPhases:
-    """A wait for each predecessor that neither the snapshot nor this plan settles."""
+def build_need_phases(needs: Iterable[Need], plan: Plan, inventory: Inventory, tasks: Tasks) -> PlannedPhases:
+    """A wait for each predecessor that neither the snapshot nor this plan settles.
+
+    Raises:
+        HostError: a predecessor does not run.
+    """
     steps = {step.task: step for step in plan.steps}
     known = [need for need in needs if need.task in steps and need.task in tasks.tasks]
     waits = tuple(
@@ -355,20 +299,20 @@ def _build_need_phase(need: Need, task: Task, step: Step, inventory: Inventory, 
         request, timeout = PlannedRequest(host=host, body=body), COMPLETION_S
     else:
         sample, timeout = _find_sample(plan, step), _get_ready_timeout(task)
-        request = _build_wait(task, host, sample.instance if sample else "", timeout)
+        request = build_wait(task, host, sample.instance if sample else "", timeout)
     return PlannedPhase(phase=Phase.NEEDS, task=need.task, requests=(request,), timeout_s=timeout)
 
 
 def _get_check_host(task: Task, rule: Check, host_name: str, inventory: Inventory) -> Host:
     if rule.on is CheckLocation.ROBOT:
         return _get_check_robot(task, inventory)
-    return _get_host(inventory, host_name)
+    return get_host(inventory, host_name)
 
 
 def _get_check_robot(task: Task, inventory: Inventory) -> Host:
     if not task.robots:
         raise HostError(f"{task.name} has no robot on which its check could run")
-    robot = _get_host(inventory, task.robots[0])
+    robot = get_host(inventory, task.robots[0])
     if not robot.probe:
         raise HostError(
             f"the check of {task.name} needs {robot.name}, which is never contacted (probe: false)",
@@ -377,7 +321,12 @@ def _get_check_robot(task: Task, inventory: Inventory) -> Host:
     return robot
 
 
-def _get_host(inventory: Inventory, name: str) -> Host:
+def get_host(inventory: Inventory, name: str) -> Host:
+    """The host of that name.
+
+    Raises:
+        HostError: it left the inventory.
+    """
     host = inventory.hosts.get(name)
     if host is None:
         raise HostError(

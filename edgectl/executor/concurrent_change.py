@@ -11,6 +11,7 @@ from edgectl.executor import host_requests
 from edgectl.executor.host_requests import Request
 from edgectl.executor.step_run import RunContext, StepRun
 from edgectl.model.inventory import Host
+from edgectl.model.standby import is_standby_entry
 
 _HINT = "edgectl apply, which plans from what runs then"
 _Answer = Request | HostError
@@ -62,7 +63,12 @@ def check_gone_everywhere(act: StepRun, host: Host) -> None:
 def _runs_elsewhere(act: StepRun, entry: Request | None) -> bool:
     """Whether an instance lives that this very action did not start (a start-first move has its own)."""
     alive = entry is not None and entry.get("state") in protocol.ALIVE_STATES
-    return alive and entry is not None and entry.get("instance") != (act.started or None)
+    return (
+        alive
+        and not is_standby_entry(entry)
+        and entry is not None
+        and entry.get("instance") != (act.started or None)
+    )
 
 
 def _get_generation(entry: Request) -> int:

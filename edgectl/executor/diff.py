@@ -9,6 +9,7 @@ from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
+from edgectl.model.standby_plan import StandbyReason, stop_copies
 from edgectl.model.task import Tasks
 from edgectl.names import natural_key
 from edgectl.rules.need_runs import find_restarted_need, list_followed_needs, mark_run
@@ -60,9 +61,17 @@ def diff_assignment(
         tasks,
         found,
     )
+    steps = tuple(replace(step, standbys=assignment.standbys.get(step.task, ())) for step in steps)
     others = _list_tasks_left_alone(assignment.policy, tasks, snapshot, manager)
-    left = sorted(found.keys() - tasks.tasks.keys() - others.keys(), key=natural_key)
-    return (*steps, *(_build_removal_step(name, found[name], tasks, manager) for name in left))
+    copies = _collect_standbys(snapshot)
+    left = sorted((found.keys() | copies.keys()) - tasks.tasks.keys() - others.keys(), key=natural_key)
+    return (
+        *steps,
+        *(
+            _build_removal_step(name, found.get(name, {}), copies.get(name, {}), tasks, manager)
+            for name in left
+        ),
+    )
 
 
 def _follow_needs(
@@ -108,11 +117,15 @@ def _list_tasks_left_alone(
     policy: Policy, tasks: Tasks, snapshot: Snapshot, manager: ManagerState
 ) -> dict[str, str]:
     """The running tasks of task files that were not given, by name with their file."""
-    found = _collect_managed_tasks(snapshot)
+    found, copies = _collect_managed_tasks(snapshot), _collect_standbys(snapshot)
+    seen = {
+        name: [*found.get(name, {}).values(), *copies.get(name, {}).values()]
+        for name in sorted((found.keys() | copies.keys()) - tasks.tasks.keys(), key=natural_key)
+    }
     return {
-        name: find_task_file(name, found[name].values(), manager)
-        for name in sorted(found.keys() - tasks.tasks.keys(), key=natural_key)
-        if is_left_alone(name, found[name].values(), tasks, manager, policy)
+        name: find_task_file(name, samples, manager)
+        for name, samples in seen.items()
+        if is_left_alone(name, samples, tasks, manager, policy)
     }
 
 
@@ -125,7 +138,12 @@ def select_targets(plan: Plan, targets: Collection[str]) -> Plan:
 
 def _disable_step(step: Step) -> Step:
     return replace(
-        step, action=Action.NONE if step.action.changes else step.action, stop=(), instances={}, changed=()
+        step,
+        action=Action.NONE if step.action.changes else step.action,
+        stop=(),
+        instances={},
+        changed=(),
+        standbys=(),
     )
 
 
@@ -137,6 +155,17 @@ def _collect_managed_tasks(snapshot: Snapshot) -> dict[str, dict[str, TaskSample
         for name, task in sample.tasks.items() if sample.ok else ():
             if task.managed and (task.state.alive or (task.pid > 0 and task.state is not TaskState.FAILED)):
                 found.setdefault(name, {})[host] = task
+    return found
+
+
+def _collect_standbys(snapshot: Snapshot) -> dict[str, dict[str, TaskSample]]:
+    """Every living copy on a reachable host, by task and host in natural order."""
+    found: dict[str, dict[str, TaskSample]] = {}
+    for host in sorted(snapshot.hosts, key=natural_key):
+        sample = snapshot.hosts[host]
+        for name, copy in sample.standbys.items() if sample.ok else ():
+            if copy.state.alive:
+                found.setdefault(name, {})[host] = copy
     return found
 
 
@@ -215,16 +244,23 @@ def _list_surplus_hosts(decision: Decision, action: Action, found: SamplesByHost
     return tuple(host for host in found if host not in keep)
 
 
-def _build_removal_step(name: str, found: SamplesByHost, tasks: Tasks, manager: ManagerState) -> Step:
-    """Stop a managed task that its file no longer lists, or that is pruned."""
-    given = tasks.is_given(find_task_file(name, found.values(), manager))
+def _build_removal_step(
+    name: str, found: SamplesByHost, copies: SamplesByHost, tasks: Tasks, manager: ManagerState
+) -> Step:
+    """Stop a managed task that its file no longer lists, or that is pruned; perhaps only its copies are
+    left.
+    """
+    given = tasks.is_given(find_task_file(name, [*found.values(), *copies.values()], manager))
     reason = Reason.LEFT_FILE if given else Reason.PRUNED
     known = manager.placements.get(name)
-    host = known.host if known is not None and known.host in found else next(iter(found))
+    host = known.host if known is not None and known.host in found else next(iter(found), None)
     decision = Decision(task=name, verdict=Verdict.UNPLACED, reason=reason, previous_host=host)
     return Step(
         decision=decision,
-        action=Action.STOP,
+        action=Action.STOP if found else Action.NONE,
         instances={host: sample.instance for host, sample in found.items()},
         stop=tuple(other for other in found if other != host),
+        standbys=stop_copies(
+            {place: copy.instance for place, copy in copies.items()}, StandbyReason.LEFT_FILE
+        ),
     )

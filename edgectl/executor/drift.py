@@ -47,6 +47,7 @@ def _list_host_drift(name: str, before: HostSample, now: HostSample) -> Iterator
         yield f"{name} answers again" if now.ok else f"{name} no longer answers"
         return
     yield from _list_task_drift(name, before.tasks, now.tasks)
+    yield from _list_copy_drift(name, before.standbys, now.standbys)
 
 
 def _list_task_drift(
@@ -61,3 +62,12 @@ def _list_task_drift(
             yield f"{task} runs on {name} now"
         elif old[task] != new[task]:
             yield f"{task} was restarted on {name}"
+
+
+def _list_copy_drift(
+    name: str, before: Mapping[str, TaskSample], now: Mapping[str, TaskSample]
+) -> Iterator[str]:
+    old = {task: copy.instance for task, copy in before.items() if copy.state.alive}
+    new = {task: copy.instance for task, copy in now.items() if copy.state.alive}
+    for task in sorted(task for task in old.keys() | new.keys() if old.get(task) != new.get(task)):
+        yield f"the standby of {task} on {name} changed"

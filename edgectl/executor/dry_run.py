@@ -7,7 +7,6 @@ from edgectl.executor.action_phases import (
     PlannedPhases,
     PlannedRequest,
     build_adopt_phases,
-    build_start_phases,
     build_stop_phases,
 )
 from edgectl.executor.dependencies import (
@@ -16,6 +15,7 @@ from edgectl.executor.dependencies import (
     build_step_dependencies,
     order_by_dependencies,
 )
+from edgectl.executor.start_phases import build_start_phases
 from edgectl.model.inventory import Connection, Inventory
 from edgectl.model.plan import Plan, Step
 from edgectl.model.result import Phase

@@ -9,6 +9,7 @@ from edgectl.executor import host_requests
 from edgectl.executor.action_phases import get_up_time
 from edgectl.model.check import Check, CheckLocation
 from edgectl.model.inventory import Host, Inventory
+from edgectl.model.standby import is_standby_entry
 from edgectl.model.task import Task, Tasks
 from edgectl.transport.agent_client import ask_host
 from edgectl.transport.base import Transport
@@ -62,6 +63,8 @@ def _is_instance_ready(task: Task, host: Host, inventory: Inventory, ask: Ask) -
     """Whether the task is ready on ``host``; a check on the robot is run again: its result may be lost."""
     entry = _ask_task_entry(task, host, ask)
     instance, state = str(entry.get("instance")), entry.get("state")
+    if is_standby_entry(entry):
+        return False
     if state == protocol.STARTING or (state == protocol.RUNNING and task.ready is None):
         wait_s = min(_WAIT_S, task.ready.timeout if task.ready else _WAIT_S)
         entry = ask(

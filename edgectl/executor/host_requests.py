@@ -7,14 +7,17 @@ from edgectl.agent.link import protocol
 from edgectl.model.check import AliveRule, Check, CheckLocation, OnUnhealthy
 from edgectl.model.inventory import Host
 from edgectl.model.latency import HeardRule
+from edgectl.model.standby import Activation
 from edgectl.model.task import StopRule, Task
 from edgectl.rules.environment import drop_secrets, merge_environment
-from edgectl.rules.ros import encode_question, encode_ros
+from edgectl.rules.ros import encode_question, encode_ros, fill_host_name
 
 Request = dict[str, object]
 Hosts = Mapping[str, Host]
 # Placeholders in a request that is not filled yet.
 NO_INSTANCE, NO_GENERATION, NO_MANAGER = "0", 0, ""
+# Seconds of an activation besides its commands: boot of the agent, set-up files, transitions of a lifecycle.
+SWITCH_MARGIN_S = 30.0
 
 
 def build_instance_id(plan_id: str, task: str, host: str, attempt: int) -> str:
@@ -23,15 +26,37 @@ def build_instance_id(plan_id: str, task: str, host: str, attempt: int) -> str:
 
 
 def build_start_request(
-    task: Task, host: Host, hosts: Hosts, *, replaces: Collection[str] | None = None
+    task: Task,
+    host: Host,
+    hosts: Hosts,
+    role: str = protocol.ROLE_ACTIVE,
+    *,
+    replaces: Collection[str] | None = None,
 ) -> Request:
     """Start ``task`` on ``host`` under its supervisor; a ready check on the robot is left to the manager.
+
+    ``role``: of a task with an activation, whether the instance is made active once it is ready for that.
 
     Secrets are masked, instance, generation and manager are placeholders; `fill_start_request` completes it.
     ``replaces``: another instance runs until this one is ready, with nodes at these addresses; None: none.
     """
+    return {
+        "op": protocol.OP_START,
+        "fleet": host.fleet,
+        "host": host.name,
+        "task": task.name,
+        "instance": NO_INSTANCE,
+        "generation": NO_GENERATION,
+        "manager": NO_MANAGER,
+        "role": role,
+        "spec": {**_encode_spec(task, host, hosts), "replaces": None if replaces is None else list(replaces)},
+        "keep_state": False,
+    }
+
+
+def _encode_spec(task: Task, host: Host, hosts: Hosts) -> Request:
     ready = task.ready if task.ready is not None and task.ready.on is CheckLocation.HOST else None
-    spec: Request = {
+    return {
         "command": task.command,
         "prelude": host.prelude,
         "env": merge_environment(task, host, hosts),
@@ -41,6 +66,7 @@ def build_start_request(
         "stop": encode_stop_rule(task.stop),
         "ready": None if ready is None else _encode_check(ready, host),
         "alive": None if task.alive is None else _encode_alive(task.alive, host),
+        "activation": None if task.activation is None else _encode_activation(task, task.activation, host),
         "ros": encode_ros(task, host, hosts),
         "log": {"max_bytes": int(task.log.max_size), "files": task.log.files},
         "limits": {"cpu": task.limits.cpu, "memory": task.limits.memory},
@@ -50,18 +76,61 @@ def build_start_request(
         "fields": dict(task.spec_fields),
         "file": task.file,
         "needed": "",
-        "replaces": None if replaces is None else list(replaces),
+        "replaces": None,
     }
+
+
+def _encode_activation(task: Task, rule: Activation, host: Host) -> Request:
+    """How an instance becomes active and inactive, and how it is known that it can."""
     return {
-        "op": protocol.OP_START,
+        "activate": None if rule.activate is None else _encode_check(rule.activate, host),
+        "deactivate": None if rule.deactivate is None else _encode_check(rule.deactivate, host),
+        "lifecycle": None if rule.lifecycle is None else fill_host_name(rule.lifecycle, host),
+        "ready": None if rule.ready is None else _encode_check(rule.ready, host),
+        "up_s": task.up,
+    }
+
+
+def build_activate_request(
+    task: Task, host: Host, hosts: Hosts, *, instance: str, await_go_s: float = 0.0
+) -> Request:
+    """Make the inactive ``instance`` active; completed as a start request is.
+
+    ``await_go_s`` above 0: the host prepares it and waits so long for ``go`` (`hold_agent_call`).
+    """
+    return _build_switch_request(protocol.OP_ACTIVATE, task, host, hosts, instance, await_go_s)
+
+
+def build_deactivate_request(
+    task: Task, host: Host, hosts: Hosts, *, instance: str, await_go_s: float = 0.0
+) -> Request:
+    """Make the active ``instance`` inactive, with proof; otherwise as `build_activate_request`."""
+    return _build_switch_request(protocol.OP_DEACTIVATE, task, host, hosts, instance, await_go_s)
+
+
+def _build_switch_request(
+    op: str, task: Task, host: Host, hosts: Hosts, instance: str, await_go_s: float
+) -> Request:
+    return {
+        "op": op,
         "fleet": host.fleet,
         "host": host.name,
         "task": task.name,
-        "instance": NO_INSTANCE,
+        "instance": instance,
         "generation": NO_GENERATION,
         "manager": NO_MANAGER,
-        "spec": spec,
+        "spec": _encode_spec(task, host, hosts),
+        "await_go_s": await_go_s,
     }
+
+
+def compute_switch_timeout_s(rule: Activation) -> float:
+    """Seconds that an activation or a deactivation may take, the way back of a failed one included.
+
+    As the ``timeout`` of a call of these requests, or of `hold_agent_call`.
+    """
+    checks = [check for check in (rule.activate, rule.deactivate) if check is not None]
+    return SWITCH_MARGIN_S + sum(check.timeout for check in checks)
 
 
 def _encode_check(check: Check, host: Host) -> Request:
@@ -80,7 +149,8 @@ def build_takeover_request(task: Task, host: Host, hosts: Hosts) -> Request:
     """Give the living instance of ``task`` on ``host``, whose supervisor was lost, a new one; completed as a
     start request is.
     """
-    return {**build_start_request(task, host, hosts), "op": protocol.OP_TAKE_OVER}
+    request = {**build_start_request(task, host, hosts), "op": protocol.OP_TAKE_OVER}
+    return {key: request[key] for key in request if key != "keep_state"}
 
 
 def fill_start_request(
@@ -120,6 +190,7 @@ def build_stop_request(
         "generation": NO_GENERATION,
         "stop": rule,
         "lease_s": lease_s,
+        "keep_state": False,
     }
 
 

@@ -45,9 +45,10 @@ def compute_next_generations(
 
 def _compute_next_generation(step: Step, own: int, snapshot: Snapshot, now: float) -> int:
     task = step.task
-    concerned = {step.decision.host, step.decision.previous_host, *step.stop, *step.instances}
+    copies = {copy.host for copy in step.standbys}
+    concerned = {step.decision.host, step.decision.previous_host, *step.stop, *step.instances, *copies}
     hosts = [host for name, host in snapshot.hosts.items() if name in concerned]
-    reported = [host.tasks[task].generation for host in hosts if task in host.tasks]
+    reported = [host.instances[task].generation for host in hosts if task in host.instances]
     reported += [host.generations.get(task, 0) for host in hosts]
     following = 1 + max([own, *(_limit_generation(each, own, now) for each in reported)])
     return min(protocol.MAX_GENERATION, max(int(now), following))

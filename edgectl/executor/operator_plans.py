@@ -8,6 +8,7 @@ from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.snapshot import HostSample, Snapshot
+from edgectl.model.standby_plan import StandbyReason, stop_copies
 from edgectl.model.task import Tasks
 from edgectl.rules.lost_places import build_lost_place_decision, list_lost_tasks
 
@@ -19,6 +20,16 @@ def list_running_instances(snapshot: Snapshot) -> dict[str, dict[str, str]]:
         for name, task in sample.tasks.items():
             if task.managed and (task.state.alive or task.pid > 0):
                 found.setdefault(name, {})[host] = task.instance
+    return found
+
+
+def list_copies(snapshot: Snapshot) -> dict[str, dict[str, str]]:
+    """The tasks that have inactive copies, each with their instances by host, in the order of the hosts."""
+    found: dict[str, dict[str, str]] = {}
+    for host, sample in snapshot.hosts.items():
+        for name, copy in sample.standbys.items():
+            if copy.state.alive or copy.pid > 0:
+                found.setdefault(name, {})[host] = copy.instance
     return found
 
 
@@ -38,14 +49,15 @@ def build_stop_plan(names: Iterable[str], inventory: Inventory, tasks: Tasks, sn
     """Stop the named tasks wherever they run or may run; those that do not run need no step.
 
     The step of a task whose last known host does not answer has the reason ``HOST_SILENT``; that of one at a
-    lost place, the reason of that place.
+    lost place, the reason of that place. Inactive copies are stopped with their task.
     """
     places, unseen = list_running_instances(snapshot), list_unseen_placements(snapshot)
-    lost, steps = list_lost_tasks(snapshot), list[Step]()
+    lost, steps, copies = list_lost_tasks(snapshot), list[Step](), list_copies(snapshot)
     for name in names:
+        standbys = stop_copies(copies.get(name, {}), StandbyReason.OPERATOR)
         if name in lost:
             decision = build_lost_place_decision(name, lost[name], Verdict.UNPLACED)
-            steps.append(Step(decision=decision, action=Action.STOP))
+            steps.append(Step(decision=decision, action=Action.STOP, standbys=standbys))
         elif name in places or name in unseen:
             decision = Decision(
                 task=name,
@@ -54,12 +66,19 @@ def build_stop_plan(names: Iterable[str], inventory: Inventory, tasks: Tasks, sn
                 previous_host=unseen.get(name) or next(iter(places[name])),
                 subject=unseen.get(name),
             )
-            steps.append(Step(decision=decision, action=Action.STOP, instances=places.get(name, {})))
+            instances = places.get(name, {})
+            steps.append(Step(decision=decision, action=Action.STOP, instances=instances, standbys=standbys))
+        elif standbys:
+            decision = Decision(task=name, verdict=Verdict.UNPLACED, reason=Reason.OPERATOR)
+            steps.append(Step(decision=decision, action=Action.NONE, standbys=standbys))
     return _build_operator_plan(tuple(steps), inventory, tasks, snapshot)
 
 
 def build_restart_plan(name: str, inventory: Inventory, tasks: Tasks, snapshot: Snapshot) -> Plan:
-    """Stop a running task and start it again on its host; further instances elsewhere are stopped."""
+    """Stop a running task and start it again on its host; further instances elsewhere are stopped.
+
+    Its inactive copies stay as they are.
+    """
     places = list_running_instances(snapshot)[name]
     known = snapshot.manager.placements.get(name) if snapshot.manager is not None else None
     host = known.host if known is not None and known.host in places else next(iter(places))
@@ -83,11 +102,15 @@ def drop_given_up_runs(name: str, snapshot: Snapshot) -> Snapshot:
 
 
 def _drop_given_up_run(name: str, sample: HostSample) -> HostSample:
-    run = sample.tasks.get(name)
+    run = sample.instances.get(name)
     if run is None or not run.given_up:
         return sample
-    others = {task: other for task, other in sample.tasks.items() if task != name}
-    return dataclasses.replace(sample, tasks=others, generations={**sample.generations, name: run.generation})
+    return dataclasses.replace(
+        sample,
+        tasks={task: other for task, other in sample.tasks.items() if task != name},
+        standbys={task: other for task, other in sample.standbys.items() if task != name},
+        generations={**sample.generations, name: run.generation},
+    )
 
 
 def _build_operator_plan(
@@ -110,17 +133,23 @@ def build_rollback_plan(plan: Plan, wanted: Mapping[str, str], revision: int) ->
 
     Of the others, those that run now are stopped.
     """
-    places = list_running_instances(plan.snapshot)
+    places, copies = list_running_instances(plan.snapshot), list_copies(plan.snapshot)
     steps = (
-        step
+        made
         for step in plan.steps
-        for step in _build_rollback_steps(step, wanted, places.get(step.task, {}), revision)
+        for made in _build_rollback_steps(
+            step, wanted, places.get(step.task, {}), copies.get(step.task, {}), revision
+        )
     )
     return dataclasses.replace(plan, steps=tuple(steps), tasks_left_alone={})
 
 
 def _build_rollback_steps(
-    step: Step, wanted: Mapping[str, str], places: Mapping[str, str], revision: int
+    step: Step,
+    wanted: Mapping[str, str],
+    places: Mapping[str, str],
+    copies: Mapping[str, str],
+    revision: int,
 ) -> Iterator[Step]:
     decision = step.decision
     if (
@@ -135,12 +164,14 @@ def _build_rollback_steps(
             else decision
         )
         yield dataclasses.replace(step, decision=reason)
-    elif places:
+    elif places or copies:
         left = Decision(
             task=step.task,
             verdict=Verdict.UNPLACED,
             reason=Reason.ROLLBACK,
-            previous_host=next(iter(places)),
+            previous_host=next(iter(places), None),
             amount=float(revision),
         )
-        yield Step(decision=left, action=Action.STOP, instances=places)
+        standbys = stop_copies(copies, StandbyReason.OPERATOR)
+        action = Action.STOP if places else Action.NONE
+        yield Step(decision=left, action=action, instances=places, standbys=standbys)

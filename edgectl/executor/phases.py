@@ -7,11 +7,19 @@ from types import MappingProxyType
 from edgectl.agent.link import protocol
 from edgectl.errors import HostError
 from edgectl.executor import host_requests
-from edgectl.executor.action_phases import WAIT_PIECE_S, PlannedPhase, PlannedPhases, PlannedRequest
+from edgectl.executor.action_phases import (
+    WAIT_PIECE_S,
+    PlannedPhase,
+    PlannedPhases,
+    PlannedRequest,
+    get_copy_up_time,
+)
 from edgectl.executor.concurrent_change import check_gone_everywhere
 from edgectl.executor.host_requests import Request
 from edgectl.executor.secrets import resolve_environment
+from edgectl.executor.state_transfer import perform_state_phase
 from edgectl.executor.step_run import RunContext, StepRun
+from edgectl.executor.switch import switch_instance
 from edgectl.model.check import CheckLocation
 from edgectl.model.result import Phase
 from edgectl.model.task import Task, TaskKind
@@ -49,22 +57,35 @@ def perform_phase(act: StepRun, planned: PlannedPhase, variables: Mapping[str, s
     match planned.phase:
         case Phase.REACH:
             _send(act.run, planned.requests[0])
-        case Phase.NEEDS if planned.timeout_s:
-            _wait_for_predecessor(act.run, planned)
         case Phase.NEEDS:
-            _note_run_of_need(act, planned)
+            _perform_need(act, planned)
         case Phase.SAFE:
             _wait_until_safe(act, planned)
         case Phase.HOLD | Phase.RELEASE:
             _run_hook(act, planned)
+        case Phase.READY:
+            _wait_until_ready(act, planned)
+        case _:
+            _change_instance(act, planned, variables)
+
+
+def _change_instance(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str]) -> None:
+    """Perform a phase that changes an instance."""
+    match planned.phase:
         case Phase.STOP:
             _stop_task(act, planned)
+        case Phase.STANDBY:
+            _start_standby(act, planned)
+        case Phase.ACTIVATE | Phase.DEACTIVATE:
+            switch_instance(act, planned, variables)
+        case Phase.RESTORE if planned.requests[0].body["op"] == protocol.OP_ACTIVATE:
+            switch_instance(act, planned, variables)
         case Phase.START | Phase.RESTORE:
             _start_task(act, planned, variables)
         case Phase.ADOPT:
             _adopt_task(act, planned, variables)
-        case Phase.READY:
-            _wait_until_ready(act, planned)
+        case _:
+            perform_state_phase(act, planned)
 
 
 def resolve_variables(act: StepRun, task: Task, host_name: str) -> dict[str, str]:
@@ -114,24 +135,43 @@ def _was_alive(act: StepRun, request: PlannedRequest) -> bool:
 
 def _start_task(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str]) -> None:
     """Start the task; the same attempt twice is one start. A restored instance is a second attempt."""
+    host = planned.host.name
+    with act.phase(planned.phase, host):
+        if _send_start(act, planned, variables).get("role") == protocol.ROLE_STANDBY:
+            message = f"{act.name} waits inactive on {host}, which the plan did not know"
+            raise HostError(message, hint="apply again", host=host)
+
+
+def _start_standby(act: StepRun, planned: PlannedPhase) -> None:
+    """Start an inactive copy and wait until it can be activated; one that waits there already will do."""
+    host, wait = planned.host, planned.requests[1]
+    deadline = time.monotonic() + planned.timeout_s
+    with act.phase(planned.phase, host.name):
+        variables = resolve_variables(act, act.run.tasks.tasks[act.name], host.name)
+        answer = _send_start(act, planned, variables)
+        if answer.get("role") != protocol.ROLE_STANDBY:
+            raise HostError(f"{act.name} is not inactive on {host.name}", hint="apply again", host=host.name)
+        _wait_on_host(act.run, planned, wait, act.started, deadline)
+
+
+def _send_start(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str]) -> Request:
     request, host = planned.requests[0], planned.host
     attempt = 2 if planned.phase is Phase.RESTORE else 1
     instance = act.instance(host.name, attempt)
-    generation = min(protocol.MAX_GENERATION, act.generation + attempt - 1)
     body = host_requests.fill_start_request(
         request.body,
         instance=instance,
-        generation=generation,
+        generation=min(protocol.MAX_GENERATION, act.generation + attempt - 1),
         manager=describe_manager(),
         variables=variables,
         needed=join_marks(act.task, act.needed) if act.task is not None else "",
     )
-    with act.phase(planned.phase, host.name):
-        answer = act.run.ask(host, body)
-        if answer.get("state") not in (protocol.STARTED, protocol.ALREADY_RUNNING):
-            why = clean_text(answer.get("detail"), _MAX_DETAIL) or "no reason was given"
-            raise HostError(f"{act.name} did not start on {host.name}: {why}", host=host.name)
+    answer = act.run.ask(host, body)
+    if answer.get("state") not in (protocol.STARTED, protocol.ALREADY_RUNNING):
+        why = clean_text(answer.get("detail"), _MAX_DETAIL) or "no reason was given"
+        raise HostError(f"{act.name} did not start on {host.name}: {why}", host=host.name)
     act.started = clean_text(answer.get("instance") or instance, _MAX_DETAIL)
+    return answer
 
 
 def _adopt_task(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str]) -> None:
@@ -153,7 +193,7 @@ def _wait_until_ready(act: StepRun, planned: PlannedPhase) -> None:
     deadline = time.monotonic() + planned.timeout_s
     wait, *elsewhere = planned.requests
     with act.phase(Phase.READY, planned.host.name, side_effect=False):
-        _wait_on_host(act.run, planned, {**wait.body, "instance": act.started}, deadline)
+        _wait_on_host(act.run, planned, wait, act.started, deadline)
         if elsewhere:
             check, mark = elsewhere
             if not _repeat_check(act.run, check, deadline):
@@ -165,14 +205,17 @@ def _wait_until_ready(act: StepRun, planned: PlannedPhase) -> None:
             _send(act.run, mark, instance=act.started)
 
 
-def _wait_on_host(run: RunContext, planned: PlannedPhase, body: Request, deadline: float) -> None:
-    """Ask the host, in pieces, until the instance is ready.
+def _wait_on_host(
+    run: RunContext, planned: PlannedPhase, wait: PlannedRequest, instance: str, deadline: float
+) -> None:
+    """Ask the host, in pieces, until the instance is ready; a copy, until it can be activated.
 
     Raises:
         HostError: failed, gone, or not ready by the ``deadline`` (monotonic).
     """
-    host, task, piece = planned.host, run.tasks.tasks[planned.task], planned.requests[0].timeout_s
-    checked = task.ready is not None and task.ready.on is CheckLocation.HOST
+    host, task, piece = planned.host, run.tasks.tasks[planned.task], wait.timeout_s
+    body: Request = {**wait.body, "instance": instance}
+    checked = _is_checked_on_host(task, copy=planned.phase is Phase.STANDBY)
     hint = f"edgectl logs {task.name}"
     while True:
         earliest = time.monotonic() + min(piece, run.options.poll_s)
@@ -191,6 +234,13 @@ def _wait_on_host(run: RunContext, planned: PlannedPhase, body: Request, deadlin
         # A host waits as it was asked; one that replies at once shall not keep us busy.
         time.sleep(max(0.0, earliest - time.monotonic()))
         piece = max(0.0, min(WAIT_PIECE_S, deadline - time.monotonic()))
+
+
+def _is_checked_on_host(task: Task, *, copy: bool) -> bool:
+    """Whether the host decides by more than time whether an instance is ready."""
+    if copy:
+        return not get_copy_up_time(task)
+    return task.ready is not None and task.ready.on is CheckLocation.HOST
 
 
 def _is_ready(task: Task, entry: Request, *, checked: bool) -> bool:
@@ -261,11 +311,18 @@ def _describe_hook_failure(answer: Request) -> str:
     )
 
 
+def _perform_need(act: StepRun, planned: PlannedPhase) -> None:
+    if planned.timeout_s:
+        _wait_for_predecessor(act.run, planned)
+    else:
+        _note_run_of_need(act, planned)
+
+
 def _wait_for_predecessor(run: RunContext, planned: PlannedPhase) -> None:
     """Wait for a predecessor that runs already, or for a job to complete."""
     request, deadline = planned.requests[0], time.monotonic() + planned.timeout_s
     if request.body["op"] == protocol.OP_WAIT:
-        _wait_on_host(run, planned, request.body, deadline)
+        _wait_on_host(run, planned, request, str(request.body["instance"]), deadline)
         return
     while not _is_reported_completed(_send(run, request), planned.task):
         if time.monotonic() >= deadline:

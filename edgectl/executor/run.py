@@ -6,9 +6,7 @@ from collections.abc import Mapping
 
 from edgectl.errors import HostError, RefusedError, StateError, describe_unseen_task
 from edgectl.executor.action_phases import (
-    StartPhases,
     build_adopt_phases,
-    build_start_phases,
     build_stop_phases,
 )
 from edgectl.executor.cancellation import INTERRUPTED, Cancellation
@@ -22,8 +20,15 @@ from edgectl.executor.dependencies import (
     is_replacement,
     list_stop_hosts,
 )
-from edgectl.executor.handoff import move_task, replace_task
+from edgectl.executor.handoff import move_task, replace_task, start_instance
 from edgectl.executor.phases import perform_phases, resolve_variables
+from edgectl.executor.standby_run import (
+    build_copy_dependencies,
+    end_copy_step,
+    list_copy_steps,
+    perform_copy_step,
+)
+from edgectl.executor.start_phases import StartPhases, build_start_phases
 from edgectl.executor.step_run import RunContext, RunIdentity, RunOptions, StepRun
 from edgectl.executor.stop_budget import BudgetSpentError, StopBudget
 from edgectl.executor.worker_pool import WorkerPool
@@ -31,7 +36,7 @@ from edgectl.model.assignment import Reason
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.progress import ProgressListener, ignore_progress
-from edgectl.model.result import ActionResult, Outcome, Results
+from edgectl.model.result import ActionResult, Outcome, Results, StandbyResult
 from edgectl.model.task import Task, Tasks
 from edgectl.rules.lost_places import describe_lost_place, get_lost_place
 from edgectl.state.journal import Journal
@@ -85,17 +90,21 @@ def run_plan(
         step.task: StepRun(run=shared, step=step) for step in plan.steps if step.action.changes or step.stop
     }
     _record_begin(shared, acts)
-    found = _run_steps(acts, workers, shared, cancellation)
+    found, copies = _run_steps(acts, workers, shared, cancellation)
     results = Results(
         revision=identity.revision,
         actions=tuple(found[name] for name in acts),
         seconds=time.monotonic() - began,
-        interrupted=any(
-            result.outcome is Outcome.SKIPPED and result.error == INTERRUPTED for result in found.values()
-        ),
+        interrupted=any(_was_interrupted(result) for result in found.values())
+        or any(_was_interrupted(copy) for copy in copies),
+        standbys=copies,
     )
     _record_end(shared, results)
     return results
+
+
+def _was_interrupted(result: ActionResult | StandbyResult) -> bool:
+    return result.outcome is Outcome.SKIPPED and result.error == INTERRUPTED
 
 
 def _record_begin(shared: RunContext, acts: Mapping[str, StepRun]) -> None:
@@ -122,8 +131,9 @@ def _record_end(shared: RunContext, results: Results) -> None:
 
 def _run_steps(
     acts: Mapping[str, StepRun], workers: WorkerPool, shared: RunContext, cancellation: Cancellation
-) -> dict[str, ActionResult]:
+) -> tuple[dict[str, ActionResult], tuple[StandbyResult, ...]]:
     """Stops at once, each start after the stops on its own host: a host that is slow to stop delays no other.
+    Inactive copies start at the end.
 
     With ``fail_fast`` every start waits for every stop. A task whose duplicate could not be stopped is not
     started again. A task that is adopted counts as one that is stopped.
@@ -136,22 +146,33 @@ def _run_steps(
         for name, wait in waits.items()
     }
     budget, skipped = StopBudget(), dict[str, ActionResult]()
+    copies = list_copy_steps(shared.plan.steps)
+    ended = dict[str, StandbyResult]()
 
     def work(key: str, results: Mapping[str, ActionResult]) -> ActionResult | None:
+        if key in copies:
+            ended[key] = perform_copy_step(shared, *copies[key], _merge_results(results))
+            return None
         if key in halting:
             return cancellation.note_result(_stop_step(acts[halting[key]], budget))
         if _name_stop(key) in results:
             return None
         return cancellation.note_result(_start_step(acts[key], waits[key], _merge_results(results)))
 
-    def skip(key: str) -> ActionResult:
+    def skip(key: str) -> ActionResult | None:
+        if key in copies:
+            why = HostError(cancellation.reason() or INTERRUPTED)
+            ended[key] = end_copy_step(*copies[key], Outcome.SKIPPED, why)
+            return None
         name = halting.get(key, key)
         if name not in skipped:
             skipped[name] = _end_skipped(acts[name], cancellation.reason() or INTERRUPTED)
         return skipped[name]
 
     groups = {key: _list_first_hosts(acts[name].step)[0] for key, name in halting.items()}
-    return _merge_results(workers.run_all(after, work, skip, groups))
+    starts = {name: acts[name].step for name in waits}
+    found = workers.run_all(build_copy_dependencies(copies, after, starts), work, skip, groups)
+    return _merge_results(found), tuple(ended[key] for key in copies)
 
 
 def _name_stop(name: str) -> str:
@@ -264,7 +285,7 @@ def _start_new_task(act: StepRun, task: Task, planned: StartPhases, host: str) -
         perform_phases(act, planned.prepare)
         variables = resolve_variables(act, task, host)
         located = host
-        perform_phases(act, planned.change, variables)
+        start_instance(act, task, planned.change, host, variables)
     except RefusedError as error:
         return act.end(Outcome.FAILED, located=None, error=error)
     except HostError as error:

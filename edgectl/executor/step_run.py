@@ -14,13 +14,14 @@ from edgectl.executor.host_requests import Request, build_instance_id
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.plan import Plan, Step
 from edgectl.model.progress import ProgressEvent, ProgressStage
-from edgectl.model.result import ActionResult, Outcome, Phase, PhaseResult
+from edgectl.model.result import ActionResult, CarriedState, Outcome, Phase, PhaseResult
 from edgectl.model.task import Task, Tasks
 from edgectl.state.failpoints import hit_failpoint
 from edgectl.state.journal import Journal
-from edgectl.transport.agent_client import call_agent
+from edgectl.transport.agent_client import call_agent, stream_agent_chunks
 from edgectl.transport.base import Session, Transport
 from edgectl.transport.fleet_lease import FleetLease
+from edgectl.transport.held_call import hold_agent_call
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,10 +81,12 @@ class RunContext:
         """Hosts by name."""
         return self.inventory.hosts
 
-    def ask(self, host: Host, request: Request, *, timeout: float | None = None) -> Request:
+    def ask(
+        self, host: Host, request: Request, *, timeout: float | None = None, data: bytes = b""
+    ) -> Request:
         """Send ``request`` and return the reply; where the session turns out lost, once more over a new one.
 
-        Requests are idempotent, so the second one does no harm.
+        Requests are idempotent, so the second one does no harm. ``data``: what follows the request.
 
         Raises:
             HostError: the host did not do it.
@@ -91,19 +94,50 @@ class RunContext:
         """
         timeout = self.options.call_s if timeout is None else timeout
         with self._connect(host) as session, contextlib.suppress(ConnectError):
-            return self._send_signed(session, host, request, timeout)
+            return self._send_signed(session, host, request, timeout, data)
         try:
             with self._connect(host) as session:
-                return self._send_signed(session, host, request, timeout)
+                return self._send_signed(session, host, request, timeout, data)
         except RefusedError as error:
             # The first one may have arrived, so nobody knows that nothing was done.
             raise HostError(error.message, hint=error.hint, host=host.name) from error
 
-    def _send_signed(self, session: Session, host: Host, request: Request, timeout: float) -> Request:
+    @contextlib.contextmanager
+    def hold(self, host: Host, request: Request, *, timeout: float) -> Iterator[Callable[[], Request]]:
+        """Have ``host`` prepare ``request``; what is yielded lets it go on and returns the reply.
+
+        Left without that, the host does nothing. Where the session is lost then, nobody knows whether it was
+        carried out: ask again.
+
+        Raises:
+            HostError: as `ask`, there and when it goes on.
+        """
+        signed, sent = request, 0.0
+        if self.lease is not None:
+            signed, sent = {**request, "lease": self.lease.sign(host.name)}, self.lease.now()
+        with self._connect(host) as session:
+            hit_failpoint(f"{request['op']} held")
+            held = hold_agent_call(session, signed, timeout=timeout)
+
+            def go_on() -> Request:
+                hit_failpoint(f"{request['op']} sent")
+                held.go()
+                answer: Request = held.wait()
+                hit_failpoint(f"{request['op']} acknowledged")
+                if self.lease is not None:
+                    self.lease.extend(host.name, sent)
+                return answer
+
+            with contextlib.closing(held):
+                yield go_on
+
+    def _send_signed(
+        self, session: Session, host: Host, request: Request, timeout: float, data: bytes
+    ) -> Request:
         if self.lease is None or request["op"] not in protocol.CHANGING_OPS:
-            return self._send(session, request, timeout)
+            return self._send(session, request, timeout, data)
         signature, sent = self.lease.sign(host.name), self.lease.now()
-        answer = self._send(session, {**request, "lease": signature}, timeout)
+        answer = self._send(session, {**request, "lease": signature}, timeout, data)
         self.lease.extend(host.name, sent)
         return answer
 
@@ -111,9 +145,22 @@ class RunContext:
         hit_failpoint("connect")
         return self.transport.connect(host, timeout=self.options.connect_s)
 
-    def _send(self, session: Session, request: Request, timeout: float) -> Request:
+    def stream(self, host: Host, request: Request, *, timeout: float) -> Iterator[bytes]:
+        """Send a request whose reply is a stream, to a host that has the agent; its chunks as they come.
+
+        Raises:
+            HostError: the host did not do it, or was silent for ``options.call_s``.
+        """
+        with self._connect(host) as session:
+            hit_failpoint(f"{request['op']} sent")
+            yield from stream_agent_chunks(
+                session, request, idle_timeout=self.options.call_s, timeout=timeout
+            )
+            hit_failpoint(f"{request['op']} acknowledged")
+
+    def _send(self, session: Session, request: Request, timeout: float, data: bytes) -> Request:
         hit_failpoint(f"{request['op']} sent")
-        answer: Request = call_agent(session, request, timeout=timeout)
+        answer: Request = call_agent(session, request, timeout=timeout, data=data)
         hit_failpoint(f"{request['op']} acknowledged")
         return answer
 
@@ -152,11 +199,27 @@ def _encode_phase_entry(phase: PhaseResult) -> dict[str, object]:
 _ENDING_PHASES = ("stop", "deactivate")
 
 
+def encode_carried_state(state: CarriedState) -> dict[str, object]:
+    """A state that was taken along as a journal entry: never the state itself."""
+    return {
+        "bytes": state.size_bytes,
+        "sha256": state.sha256,
+        "sent": state.sent_bytes,
+        "save_s": round(state.save_s, 4),
+        "transfer_s": round(state.transfer_s, 4),
+        "load_s": round(state.load_s, 4),
+        "age_s": round(state.age_s, 4),
+        "host": state.host,
+    }
+
+
 @dataclass(slots=True, kw_only=True)
 class StepRun:
     """One step from its intent to its result. ``started``: the instance that was started last. ``needed``:
     marks of the runs of predecessors, by name. ``old_ended``: when the old instance was last stopped
     or deactivated (monotonic clock). ``end_gap_watch``: gives the gap of a move as the robot heard it.
+    ``carried``: the state of the task, saved at ``saved_at`` (monotonic); ``spooled``: the hosts where it may
+    be kept.
     """
 
     run: RunContext
@@ -167,6 +230,9 @@ class StepRun:
     needed: dict[str, str] = field(default_factory=dict)
     old_ended: float | None = None
     end_gap_watch: Callable[[Outcome], float | None] | None = None
+    carried: CarriedState | None = None
+    saved_at: float = 0.0
+    spooled: list[str] = field(default_factory=list)
 
     @property
     def name(self) -> str:
@@ -260,6 +326,7 @@ class StepRun:
             error=result.error,
             downtime_s=result.downtime_s,
             **({} if result.gap_s is None else {"gap_s": result.gap_s}),
+            **({} if result.state is None else {"state": encode_carried_state(result.state)}),
             phases=[_encode_phase_entry(phase) for phase in self.phases],
             **what,
         )
@@ -288,6 +355,7 @@ class StepRun:
             hint=error.hint if error else "",
             located=located,
             instance=self.started,
+            state=self.carried,
         )
         self._journal_end(result)
         self.run.report_progress(

@@ -36,7 +36,7 @@ class WorkerPool:
         self,
         after: Mapping[str, frozenset[str]],
         work: WorkFunction,
-        skip: Callable[[str], ActionResult],
+        skip: Callable[[str], ActionResult | None],
         groups: Mapping[str, str] = _NO_GROUPS,
     ) -> dict[str, ActionResult]:
         """Do ``work(name, results so far)`` for each name once all in ``after[name]`` have ended.
@@ -47,7 +47,8 @@ class WorkerPool:
         waiting, running, ended = dict(after), set[str](), dict[str, ActionResult]()
         while waiting or running:
             if waiting and self._stopped():
-                ended |= {name: skip(name) for name in waiting}
+                skipped = {name: skip(name) for name in waiting}
+                ended |= {name: result for name, result in skipped.items() if result is not None}
                 waiting.clear()
             for name in self._ready(waiting, running, groups):
                 del waiting[name]

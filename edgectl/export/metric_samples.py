@@ -130,6 +130,13 @@ def sample_running_tasks(read: Callable[[TaskSample], float | None]) -> Sampler:
     ]
 
 
+def sample_standbys(picture: MetricsInput) -> Iterable[MetricSample]:
+    """One sample per inactive copy: whether it can be activated."""
+    ready = (TaskState.READY, TaskState.RUNNING)
+    for name, host in picture.snapshot.hosts.items():
+        yield from (((task, name), float(copy.state in ready)) for task, copy in host.standbys.items())
+
+
 def sample_app_metrics(picture: MetricsInput) -> Iterable[MetricSample]:
     """One sample per application metric of each running task."""
     for host, found in picture.snapshot.hosts.items():

@@ -177,6 +177,12 @@ METRICS = (
         read=metric_samples.sample_running_tasks(lambda _: 1.0),
     ),
     MetricDefinition(
+        name="edgectl_task_standby_ready",
+        help="1 for each host with an inactive copy of the task that can be activated, 0 while it cannot.",
+        labels=_RUN_LABELS,
+        read=metric_samples.sample_standbys,
+    ),
+    MetricDefinition(
         name="edgectl_task_start_timestamp_seconds",
         help="Start of the running instance, by the manager's clock.",
         labels=_RUN_LABELS,

@@ -261,7 +261,7 @@ def select_former_names(seen: Mapping[str, DecodedProbe], inventory: Inventory) 
 
     Two hosts of one machine list the same tasks; the first of them adopts their name.
     """
-    claimed = {"", *(task.instance for each in seen.values() for task in each.sample.tasks.values())}
+    claimed = {"", *(task.instance for each in seen.values() for task in each.sample.instances.values())}
     found = {}
     for name, each in seen.items():
         others = [other for other in each.sample.other_tasks if other.instance not in claimed]
@@ -294,7 +294,7 @@ def _finalize_samples(
     )
     samples = {name: _finalize_sample(answer, done, now) for name, answer in answers.items()}
     reported = frozenset(
-        task.instance for each in samples.values() for task in each.tasks.values() if task.instance
+        task.instance for each in samples.values() for task in each.instances.values() if task.instance
     )
     known = set(inventory.hosts).union(
         *(

@@ -20,7 +20,7 @@ from edgectl.gateway.replies import (
     ReplyDocument,
     decode_reply,
 )
-from edgectl.gateway.task_reply import build_generations, build_task_samples
+from edgectl.gateway.task_reply import build_generations, build_task_samples, separate_standbys
 from edgectl.model.inventory import Host, Role
 from edgectl.model.resource import HOST_RESOURCES, Resource
 from edgectl.model.snapshot import (
@@ -87,6 +87,7 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
     )
     if not context.host.is_slice:
         tasks = attribute_counted_traffic(reply, tasks, context.robots_of)
+    active, standbys = separate_standbys(reply, tasks)
     sample = HostSample(
         role=context.host.role,
         status=HostStatus.OK,
@@ -95,9 +96,10 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
         usage=_decode_usages(document, context.host, tasks),
         counters=reply.counters,
         links=_build_links(reply, context, tasks) if context.host.role is Role.EDGE else {},
-        tasks=tasks,
+        tasks=active,
+        standbys=standbys,
         device=_build_device(reply, context.answered_at),
-        generations=build_generations(reply, tasks),
+        generations=build_generations(reply, active),
         grant=reply.grants.epoch,
         foreign_grant=_find_foreign_grant(reply.grants, context.manager_id),
         foreign_hosts=reply.grants.hosts,

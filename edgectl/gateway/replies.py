@@ -143,6 +143,8 @@ class TaskReply:
     needed: Text = ""
     nodes: Mapping[Text, Text] = field(default_factory=dict)
     partial: Text = ""
+    role: Text = ""
+    switching: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

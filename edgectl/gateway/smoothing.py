@@ -37,8 +37,9 @@ def smooth_snapshot(
 def _smooth_host(before: HostSample | None, now: HostSample, weight: float) -> HostSample:
     if before is None or not _is_continuation(before, now):
         return now
-    tasks = {name: _smooth_task(before.tasks.get(name), task, weight) for name, task in now.tasks.items()}
-    was, ours, averaged = _select_alive(before.tasks), _select_alive(now.tasks), _select_alive(tasks)
+    found = before.instances
+    runs = {name: _smooth_task(found.get(name), task, weight) for name, task in now.instances.items()}
+    was, ours, averaged = _select_alive(found), _select_alive(now.instances), _select_alive(runs)
     usage = {
         name: _smooth_usage(name, before.usage[name], found, (was, ours, averaged), weight)
         if name in before.usage
@@ -51,7 +52,13 @@ def _smooth_host(before: HostSample | None, now: HostSample, weight: float) -> H
         else link
         for robot, link in now.links.items()
     }
-    return dataclasses.replace(now, usage=usage, links=links, tasks=tasks)
+    return dataclasses.replace(
+        now,
+        usage=usage,
+        links=links,
+        tasks={name: runs[name] for name in now.tasks},
+        standbys={name: runs[name] for name in now.standbys},
+    )
 
 
 def _is_continuation(before: HostSample, now: HostSample) -> bool:

@@ -8,6 +8,7 @@ from edgectl.gateway.fanout import HostReply, ask_all
 from edgectl.gateway.replies import StatusReply, TaskReply, decode_reply
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.snapshot import TaskState
+from edgectl.model.standby import is_standby_entry
 from edgectl.names import natural_key
 from edgectl.transport.base import Transport
 
@@ -68,7 +69,7 @@ def _may_live(task: str, entry: object) -> bool:
         found = decode_reply(TaskReply, entry, f"tasks.{task}")
     except ReplyError:
         return True
-    return found.managed and found.state.alive
+    return found.managed and found.state.alive and not is_standby_entry(entry)
 
 
 def _ask_task_status(
@@ -94,5 +95,5 @@ def _list_unanswered(answers: Mapping[str, TaskReply | HostError | None]) -> tup
     return tuple(name for name, entry in answers.items() if isinstance(entry, HostError))
 
 
-def _rank_status(entry: TaskReply) -> tuple[bool, float]:
-    return not entry.state.alive, entry.age_s
+def _rank_status(entry: TaskReply) -> tuple[bool, bool, float]:
+    return not entry.state.alive, entry.role == protocol.ROLE_STANDBY, entry.age_s

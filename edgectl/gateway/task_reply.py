@@ -15,6 +15,7 @@ from edgectl.model.snapshot import (
     TaskSample,
     TaskState,
 )
+from edgectl.model.standby import is_standby_entry
 
 # Larger ones overflow in a mean or a deviation.
 _MAX_METRIC = 1e100
@@ -61,6 +62,20 @@ def _decode_task_or_stub(name: str, entry: object, answered_at: float) -> TaskSa
             started_at=answered_at,
             detail=f"its entry cannot be read: {error.message}",
         )
+
+
+def separate_standbys(
+    reply: ProbeReply, tasks: Mapping[str, TaskSample]
+) -> tuple[dict[str, TaskSample], dict[str, TaskSample]]:
+    """``tasks`` without the inactive copies, and these.
+
+    An instance that is becoming active or inactive may be active, and so may one whose role cannot be read.
+    """
+    inactive = {name for name in tasks if is_standby_entry(reply.tasks.get(name))}
+    return (
+        {name: task for name, task in tasks.items() if name not in inactive},
+        {name: task for name, task in tasks.items() if name in inactive},
+    )
 
 
 def build_generations(reply: ProbeReply, tasks: Mapping[str, TaskSample]) -> dict[str, int]:
@@ -118,6 +133,7 @@ def _decode_task(name: str, entry: object, answered_at: float) -> TaskSample:
         needed=reply.needed,
         nodes=reply.nodes,
         partial=reply.partial,
+        switching=reply.switching,
     )
 
 

@@ -13,6 +13,7 @@ from edgectl.model.encoding import Bounds, Positive, Signed, SignedInt, in_docum
 from edgectl.model.policy import Policy
 from edgectl.model.predicted_latency import PredictedLatency
 from edgectl.model.resource import LATENCY, TERMS, Resource, ResourceMap, Usage
+from edgectl.model.standby_plan import StandbyStep
 
 
 class RejectionRule(StrEnum):
@@ -189,6 +190,7 @@ class Reason(StrEnum):
     GROUP = "group-incomplete"
     REBALANCED = "rebalanced"
     OPTIMAL = "optimal"
+    STANDBY_ACTIVATED = "standby-activated"
     REPLACED = "replaced"
     FORCED_INFEASIBLE = "present-host-infeasible"
     RELIEF = "relieves-overload"
@@ -367,7 +369,7 @@ class Assignment:
     ``unseen`` are hosts that did not answer while nothing is remembered of them (a manager new to the fleet).
     ``demand_spreads`` are percent demands that mean different amounts on the hosts that may run the task.
     ``shortages``: what the fleet lacks, whatever the placement. ``certificate``: of a plan that was made
-    as good as possible (ADR 71).
+    as good as possible (ADR 71). ``standbys``: what becomes of the inactive copies, by task.
     """
 
     policy: Policy
@@ -379,3 +381,4 @@ class Assignment:
     demand_spreads: tuple[DemandSpread, ...] = ()
     shortages: tuple[Shortage, ...] = ()
     certificate: Certificate | None = None
+    standbys: Mapping[str, tuple[StandbyStep, ...]] = field(default_factory=dict)

@@ -9,6 +9,7 @@ from edgectl.model.assignment import Certificate, Decision, DemandSpread, Expect
 from edgectl.model.encoding import Instant, in_document
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot
+from edgectl.model.standby_plan import StandbyStep
 
 
 class Action(StrEnum):
@@ -50,7 +51,8 @@ class Step:
 
     ``instances`` are the running instances that a stop, move, restart or complete concerns, by host. A task
     may run where it should not even while it is kept elsewhere: ``stop`` lists those hosts. ``changed`` names
-    the fields of the spec that differ (restart), where known.
+    the fields of the spec that differ (restart), where known. ``standbys``: what becomes of its inactive
+    copies, those that stop first.
     """
 
     decision: Decision = field(metadata=in_document(inline=True))
@@ -58,6 +60,12 @@ class Step:
     instances: Mapping[str, str] = field(default_factory=dict)
     stop: tuple[str, ...] = ()
     changed: tuple[str, ...] = ()
+    standbys: tuple[StandbyStep, ...] = ()
+
+    @property
+    def changes(self) -> bool:
+        """Whether the step touches any host."""
+        return self.action.changes or bool(self.stop) or any(each.action.changes for each in self.standbys)
 
     @property
     def task(self) -> str:
@@ -103,4 +111,4 @@ class Plan:
     @property
     def changes(self) -> bool:
         """Whether applying the plan would touch any host."""
-        return any(step.action.changes or step.stop for step in self.steps)
+        return any(step.changes for step in self.steps)

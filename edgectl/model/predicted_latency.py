@@ -24,7 +24,7 @@ class PredictedLatency:
     """Latency of one job of a task on a host, from the robot and back: percentiles and parts in ms.
 
     ``low_ms`` to ``high_ms``: where nine jobs of ten are expected, widened by the error of the model.
-    ``service_ms``: median on an idle host; ``load``: the share of the CPU that others use there;
+    ``service_ms``: median on an idle host; ``host_load``: the share of the CPU that others use there;
     ``waiting_ms``: what that adds on average; ``transfer_ms``: its bytes at what is free of the link.
     ``elsewhere``: no service time is stated for this class of hosts, so the longest of the others counts.
     """
@@ -35,7 +35,7 @@ class PredictedLatency:
     low_ms: float
     high_ms: float
     service_ms: float
-    load: float
+    host_load: float
     waiting_ms: float
     transfer_ms: float
     rtt_ms: float

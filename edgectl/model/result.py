@@ -4,6 +4,7 @@ from enum import StrEnum
 
 from edgectl.dataclass import dataclass
 from edgectl.model.plan import Action
+from edgectl.model.standby_plan import StandbyAction
 
 
 class Outcome(StrEnum):
@@ -20,15 +21,22 @@ class Phase(StrEnum):
     """One part of an action, in the words of the handoff contract.
 
     ``reach`` (the host answers) and ``needs`` (predecessors are far enough) change nothing and are not in
-    results. ``heard``: the robot hears the old instance, and later the new one.
+    results. ``heard``: the robot hears the old instance, and later the new one. ``standby``: an inactive
+    copy is started and can be activated.
     """
 
     REACH = "reach"
     NEEDS = "needs"
     SAFE = "safe"
     HOLD = "hold"
+    STANDBY = "standby"
+    SAVE = "save"
+    TRANSFER = "transfer"
+    LOAD = "load"
+    DEACTIVATE = "deactivate"
     STOP = "stop"
     START = "start"
+    ACTIVATE = "activate"
     ADOPT = "adopt"
     READY = "ready"
     RELEASE = "release"
@@ -48,13 +56,31 @@ class PhaseResult:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CarriedState:
+    """The state that a move took along: its size and SHA-256, the bytes that its transfer took, how long each
+    part took in seconds, and its age when it was loaded.
+
+    ``host``: where it was loaded last; empty where it was not.
+    """
+
+    size_bytes: int
+    sha256: str
+    save_s: float
+    sent_bytes: int = 0
+    transfer_s: float = 0.0
+    load_s: float = 0.0
+    age_s: float = 0.0
+    host: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ActionResult:
     """One step of the plan as it went.
 
     ``downtime_s``: stop to ready of a move or restart; None where there was none. ``host`` and
     ``previous_host`` are the plan's; ``located`` is where the task stands after the action (None: nowhere).
-    ``instance``: the start that was sent last; empty where none was. ``gap_s``: the longest silence of the
-    task at its robot, where that is heard.
+    ``instance``: the start that was sent last; empty where none was. ``state``: what the move saved.
+    ``gap_s``: the longest silence of the task at its robot, where that is heard.
     """
 
     task: str
@@ -68,6 +94,7 @@ class ActionResult:
     hint: str = ""
     located: str | None = None
     instance: str = ""
+    state: CarriedState | None = None
     gap_s: float | None = None
 
     @property
@@ -77,18 +104,35 @@ class ActionResult:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class StandbyResult:
+    """What became of one inactive copy of a task: started or stopped on ``host`` within ``seconds``."""
+
+    task: str
+    host: str
+    action: StandbyAction
+    outcome: Outcome
+    seconds: float = 0.0
+    error: str = ""
+    hint: str = ""
+    instance: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Results:
     """All actions of one apply.
 
-    ``revision`` counts applies of this fleet; ``seconds`` is the whole duration.
+    ``revision`` counts applies of this fleet; ``seconds`` is the whole duration. ``standbys``: the inactive
+    copies that were started or stopped by themselves.
     """
 
     revision: int
     actions: tuple[ActionResult, ...]
     seconds: float
     interrupted: bool = False
+    standbys: tuple[StandbyResult, ...] = ()
 
     @property
     def done(self) -> bool:
         """Whether every action was carried out."""
-        return not self.interrupted and all(action.outcome is Outcome.DONE for action in self.actions)
+        outcomes = [action.outcome for action in self.actions] + [copy.outcome for copy in self.standbys]
+        return not self.interrupted and all(outcome is Outcome.DONE for outcome in outcomes)

@@ -122,7 +122,7 @@ class TaskSample:
     ``partial``: what its traffic lacks, as of a link.
     ``latency``: as its rule states it, where there is a value.
     ``orphaned``: it lives without a supervisor; ``adoptable``: a new one can take it over as it is (ADR
-    0041).
+    0041). ``switching``: it is just becoming active or inactive.
     """
 
     state: TaskState
@@ -153,6 +153,7 @@ class TaskSample:
     nodes: Mapping[str, str] = field(default_factory=dict)
     partial: str = ""
     latency: LatencySample | None = None
+    switching: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -215,9 +216,11 @@ class HostSample:
     has under another host name, unless that host reports them itself. ``foreign_tasks``: tasks of other
     fleets; they are load, and nothing else is done with them. ``address``: as the inventory states it.
     ``machine``: machine id, user and state directories of the login, as ``ID/UID/HASH``; "" where there is no
-    machine id. ``grant``: how often the host has granted the fleet to a manager. ``foreign_grant``: number of
-    the last grant to another manager than the one that took the snapshot. ``foreign_hosts``: hosts that the
-    inventory lacks and on which other managers of the fleet may place tasks. ``counters``: "" where none are
+    machine id. ``standbys``: the inactive copies of tasks that wait on the host; an active instance is in
+    ``tasks``, and so is one that is just becoming active or inactive. ``grant``: how often the host has
+    granted the fleet to a manager. ``foreign_grant``: number of the last grant to another manager than the
+    one that took the snapshot. ``foreign_hosts``: hosts that the inventory lacks and on which other managers
+    of the fleet may place tasks. ``counters``: "" where none are
     installed for this fleet, "installed", or why they cannot be read.
     """
 
@@ -236,6 +239,7 @@ class HostSample:
     )
     links: Mapping[str, LinkSample] = field(default_factory=dict, metadata=in_document(always=True))
     tasks: Mapping[str, TaskSample] = field(default_factory=dict, metadata=in_document(always=True))
+    standbys: Mapping[str, TaskSample] = field(default_factory=dict)
     device: DeviceSample = DeviceSample()
     generations: Mapping[str, int] = field(default_factory=dict)
     other_tasks: tuple[OtherTask, ...] = ()
@@ -251,6 +255,11 @@ class HostSample:
     def ok(self) -> bool:
         """Whether the host answered."""
         return self.status is HostStatus.OK
+
+    @property
+    def instances(self) -> dict[str, TaskSample]:
+        """Every instance on the host, active or inactive, by task."""
+        return {**self.standbys, **self.tasks}
 
     @property
     def measured(self) -> bool:

@@ -12,6 +12,7 @@ from edgectl.model.demand import Demand
 from edgectl.model.latency import HeardRule, LatencyRule
 from edgectl.model.policy import Policy
 from edgectl.model.predicted_latency import JobSize, ServiceTime
+from edgectl.model.standby import Activation, StandbyRule, StateRule
 
 _NODE_NAME = re.compile(r"(?:^|\s)__(?:name|node):=(\S+)")
 _NODE_NAMESPACE = re.compile(r"(?:^|\s)__ns:=(\S+)")
@@ -176,6 +177,7 @@ class Task:
     ``alive``: asked while the task runs, and for readiness too where ``ready`` is not stated.
     ``service_time`` of a job by class of hosts, "" for every class; ``job``: the bytes of one.
     ``latency``: where its latency is measured; ``heard``: how its robot notices it.
+    ``standby``: other hosts keep an inactive copy of it; ``state``: what a move takes along.
     ``file``: the task file that lists it (ADR 0039); it is no part of any digest.
     """
 
@@ -211,6 +213,8 @@ class Task:
     stop: StopRule = StopRule()
     restart: RestartPolicy = RestartPolicy.ON_FAILURE
     handoff: HandoffContract = HandoffContract()
+    standby: StandbyRule | None = None
+    state: StateRule | None = None
     env: Mapping[str, str] = field(default_factory=dict)
     workdir: str | None = None
     limits: TaskLimits = TaskLimits()
@@ -223,6 +227,11 @@ class Task:
     env_command: tuple[str, ...] = ()
     spec_fields: Mapping[str, str] = field(default_factory=dict)
     file: str = ""
+
+    @property
+    def activation(self) -> Activation | None:
+        """How its instances become active; None: an instance is active from its start."""
+        return self.standby.activation if self.standby is not None else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

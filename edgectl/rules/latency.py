@@ -160,7 +160,7 @@ def estimate_latency(
         low_ms=find_quantile(0.05) * (1.0 - MODEL_ERROR),
         high_ms=p95 * (1.0 + MODEL_ERROR),
         service_ms=_MS * median,
-        load=load,
+        host_load=load,
         waiting_ms=_MS * waiting.mean,
         transfer_ms=_MS * transfer,
         rtt_ms=_MS * rtt,

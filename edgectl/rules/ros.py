@@ -67,11 +67,19 @@ def encode_question(check: Check, host: Host) -> Document:
     return {"command": "", "graph": _encode_graph_question(check.ros, host)}
 
 
+def fill_host_name(name: str, host: Host) -> str:
+    """Fill in ``{host}`` in a name of the graph: copies of one node on several hosts need names of their own.
+
+    Letters that such names cannot have become ``_``.
+    """
+    return name.replace("{host}", re.sub(r"[^A-Za-z0-9]", "_", host.name))
+
+
 def _encode_graph_question(asked: RosCheck, host: Host) -> Document:
     topic = asked.topic
     return {
         "version": host.ros.version if host.ros is not None else 1,
-        "node": asked.node,
+        "node": None if asked.node is None else fill_host_name(asked.node, host),
         "topic": None if topic is None else {"name": topic.name, "within_s": topic.within},
         "service": asked.service,
         "lifecycle": asked.lifecycle,

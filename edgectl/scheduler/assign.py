@@ -30,6 +30,8 @@ from edgectl.scheduler.sequence import order_tasks
 from edgectl.scheduler.settle import run_once, run_with_groups
 from edgectl.scheduler.shortage import compute_shortages
 from edgectl.scheduler.single_pass import PlacementPass
+from edgectl.scheduler.standby_steps import build_standby_steps
+from edgectl.scheduler.standbys import place_standbys
 
 if TYPE_CHECKING:
     from edgectl.scheduler.array_scan import ArrayScan
@@ -94,19 +96,22 @@ def _assign(
         rules=rules,
         initial=state,
     )
-    certificate = None
+    certificate, made = None, how
     if not rules.settles:
         outcome, settled = run_once(how, state)
     else:
         known = run_with_groups(how, optimal=solve is not None)
-        found = known.found
+        made, found = known.how, known.found
         if solve is not None:
             found, certificate = find_best_plan(how, known, solve)
         outcome, settled = found.outcome, found.settled
+    standbys, expected = place_standbys(made, outcome)
+    used_places = {place for place, _ in outcome.placed.values()}
     return Assignment(
         policy=used,
         decisions=outcome.decisions,
-        expected=outcome.ledger.expected({place for place, _ in outcome.placed.values()}),
+        expected=expected.expected(used_places.union(*(each.places for each in standbys))),
+        standbys=build_standby_steps(made, standbys, expected),
         settled=settled,
         frozen=state.frozen,
         unseen=state.unseen,

@@ -42,7 +42,7 @@ Totals: TypeAlias = "ListTotals | ArrayTotals"
 ReferenceTerms: TypeAlias = tuple[UtilityTerms, float | None, tuple[Rejection, ...]]
 
 # These close a host to new work only: what runs there may stay.
-_NEW_WORK_ONLY = (RejectionRule.CORDONED, RejectionRule.STALE)
+NEW_WORK_ONLY = (RejectionRule.CORDONED, RejectionRule.STALE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -301,7 +301,7 @@ def _list_candidates(
             },
         }
     closed = denied.get(incumbent) if incumbent is not None else None
-    if closed is not None and incumbent not in fleet.hard and closed.rule in _NEW_WORK_ONLY:
+    if closed is not None and incumbent not in fleet.hard and closed.rule in NEW_WORK_ONLY:
         denied = {place: rejection for place, rejection in denied.items() if place != incumbent}
     return listed, denied
 

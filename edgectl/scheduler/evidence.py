@@ -1,6 +1,6 @@
 """Evidence about one task, from hosts and the manager's record: the instances that count, its progress."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from edgectl.dataclass import dataclass
 from edgectl.model.manager_state import ManagerState, Placement
@@ -31,9 +31,20 @@ class Evidence:
 
 def collect_instances(fleet: Capacities) -> dict[str, tuple[FoundInstance, ...]]:
     """All instances that the hosts show, by task."""
+    return _join_samples(fleet, lambda sample: sample.tasks)
+
+
+def collect_standbys(fleet: Capacities) -> dict[str, tuple[FoundInstance, ...]]:
+    """All inactive copies that the hosts show, by task."""
+    return _join_samples(fleet, lambda sample: sample.standbys)
+
+
+def _join_samples(
+    fleet: Capacities, get_tasks: Callable[[HostSample], Mapping[str, TaskSample]]
+) -> dict[str, tuple[FoundInstance, ...]]:
     found: dict[str, tuple[FoundInstance, ...]] = {}
     for place, sample in enumerate(fleet.samples):
-        for name, task in sample.tasks.items() if sample and sample.ok else ():
+        for name, task in get_tasks(sample).items() if sample and sample.ok else ():
             found[name] = (*found.get(name, ()), FoundInstance(place=place, sample=task))
     return found
 

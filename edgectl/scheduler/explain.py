@@ -40,6 +40,7 @@ _CONSTRAINED_REASONS = (
     Reason.UNSETTLED,
     Reason.BEST_EFFORT,
     Reason.REPLACED,
+    Reason.STANDBY_ACTIVATED,
     Reason.MADE_ROOM,
     Reason.ROOM_MADE,
     Reason.PREEMPTED,
@@ -184,7 +185,7 @@ def _build_ledger_of_others(fleet: Capacities) -> Ledger:
     """The measured load without that of tasks: a task counts for its reservation, whatever it uses less."""
     ledger = build_measured_ledger(fleet)
     for place, sample in enumerate(fleet.samples):
-        for run in sample.tasks.values() if sample is not None and sample.ok else ():
+        for run in sample.instances.values() if sample is not None and sample.ok else ():
             if run.state.alive:
                 ledger.release(place, compute_measured_usage(fleet, run, None, place))
     return ledger

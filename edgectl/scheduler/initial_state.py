@@ -3,13 +3,14 @@ decides.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import field
+from dataclasses import field, replace
 
 from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
-from edgectl.model.snapshot import TaskState
+from edgectl.model.resource import RESOURCES_BY_NAME
+from edgectl.model.snapshot import TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
 from edgectl.rules.lost_places import LostPlace, build_lost_place_decision
 from edgectl.rules.measured_demand import WARM_UP_S
@@ -20,6 +21,7 @@ from edgectl.scheduler.evidence import (
     Evidence,
     FoundInstance,
     collect_instances,
+    collect_standbys,
     find_given_up_run,
     find_lost_newest_place,
     find_newest_instance,
@@ -42,13 +44,14 @@ class RunningTask:
     """A task that occupies ``place`` with ``use``.
 
     ``since``: when it came there; None: this very plan puts it there. ``counts``: it has run long enough for
-    its measured usage to be typical of it.
+    its measured usage to be typical of it. ``sample``: as it was found; None: it runs nowhere yet.
     """
 
     place: int
     use: TaskUsage
     since: float | None
     counts: bool = True
+    sample: TaskSample | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +62,8 @@ class InitialState:
     ``held``: tasks that run and stay where they are, because their robot does not answer.
     ``located``: the place of every task that counts as a predecessor. ``completed``: predecessors that need
     no place. ``fixed``: decisions that no pass makes. ``replaced``: the silent host of every task that is
-    placed anew although it was never seen to end.
+    placed anew although it was never seen to end. ``standbys``: the inactive copies of tasks, whose use is no
+    part of ``ledger``.
     """
 
     ledger: Ledger
@@ -69,6 +73,7 @@ class InitialState:
     fixed: Mapping[str, Decision]
     held: Mapping[str, RunningTask] = field(default_factory=dict)
     replaced: Mapping[str, str] = field(default_factory=dict)
+    standbys: Mapping[str, tuple[FoundInstance, ...]] = field(default_factory=dict)
     frozen: bool = False
     unseen: tuple[str, ...] = ()
 
@@ -118,6 +123,11 @@ def build_initial_state(
         ours = [s for s in seen[name] if s.sample.managed]
         if not is_left_alone(name, [s.sample for s in ours], tasks, manager, policy):
             _release_usage(builder, ours, None)
+    standbys = collect_standbys(fleet)
+    for name in sorted(standbys):
+        copies = [each.sample for each in standbys[name]]
+        if name in tasks.tasks or not is_left_alone(name, copies, tasks, manager, policy):
+            _release_copies(builder, standbys[name], tasks.tasks.get(name))
     silent = [
         host.name
         for place, host in enumerate(fleet.places)
@@ -131,6 +141,7 @@ def build_initial_state(
         completed=frozenset(builder.completed),
         fixed=builder.fixed,
         replaced=builder.replaced,
+        standbys={name: copies for name, copies in standbys.items() if name in tasks.tasks},
         frozen=builder.frozen,
         unseen=() if manager.managed else tuple(silent),
     )
@@ -256,6 +267,7 @@ def _build_running_task(builder: _InitialStateBuilder, task: Task, current: Foun
         use=compute_measured_usage(builder.evidence.fleet, current.sample, task, current.place),
         since=placement.since if placement is not None and remembered else current.sample.started_at,
         counts=builder.now - current.sample.started_at >= WARM_UP_S,
+        sample=current.sample,
     )
 
 
@@ -300,6 +312,20 @@ def _keep_unmanaged(builder: _InitialStateBuilder, task: Task, current: FoundIns
     builder.fixed[task.name] = Decision(
         task=task.name, verdict=Verdict.KEPT, reason=Reason.UNMANAGED, host=host, previous_host=host
     )
+
+
+def _release_copies(
+    builder: _InitialStateBuilder, copies: Iterable[FoundInstance], task: Task | None
+) -> None:
+    """Take inactive copies out of gamma; of a declared budget they use nothing."""
+    fleet = builder.evidence.fleet
+    for copy in copies:
+        if copy.sample.state.alive:
+            use = compute_measured_usage(fleet, copy.sample, task, copy.place)
+            kept = {
+                name: used for name, used in use.used.items() if not RESOURCES_BY_NAME[name].declared_only
+            }
+            builder.ledger.release(copy.place, replace(use, used=kept))
 
 
 def _release_usage(

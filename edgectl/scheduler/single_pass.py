@@ -8,6 +8,7 @@ from types import MappingProxyType
 from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Decision, Reason, Rejection, Verdict
 from edgectl.model.task import Task
+from edgectl.scheduler.activation import prefer_standby
 from edgectl.scheduler.candidates import (
     AssignmentContext,
     CandidateSet,
@@ -263,6 +264,8 @@ def _choose_place(
     if initial_place is None and incumbent is not None and choice.verdict is Verdict.PLACED:
         # Another place than that of an earlier pass: the task runs nowhere yet, so nothing moves.
         choice = Choice(verdict=Verdict.PLACED, reason=Reason.BEST, place=choice.place)
+    if how.rules.settles:
+        choice = prefer_standby(choice, candidates, how.initial)
     progress.peaks.valid = progress.peaks.valid and incumbent in (None, choice.place)
     if progress.history is not None:
         waived = choice.place in candidates.denied and choice.place == incumbent

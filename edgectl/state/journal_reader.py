@@ -39,6 +39,7 @@ class JournalSummary:
     _intended: dict[str, int] = field(default_factory=dict)
     _unfinished: dict[str, None] = field(default_factory=dict)
     _held: dict[str, None] = field(default_factory=dict)
+    _spooled: dict[str, dict[str, None]] = field(default_factory=dict)
 
     @property
     def applied(self) -> set[str]:
@@ -59,9 +60,14 @@ class JournalSummary:
         return tuple(self._held)
 
     @property
+    def spooled(self) -> dict[str, tuple[str, ...]]:
+        """Hosts that may still keep the state of a task for a move, by task."""
+        return {task: tuple(hosts) for task, hosts in self._spooled.items()}
+
+    @property
     def sound(self) -> bool:
-        """Whether nothing is torn, damaged or interrupted, and no robot is on hold."""
-        return not (self._unfinished or self._held or self.torn or self.broken)
+        """Whether nothing is torn, damaged, interrupted or left on hosts, and no robot is on hold."""
+        return not (self._unfinished or self._held or self._spooled or self.torn or self.broken)
 
     def take(self, entry: JournalEntry) -> None:
         """Add one entry."""
@@ -72,21 +78,23 @@ class JournalSummary:
             self.begun.add(str(entry.get("plan")))
         elif event == "continued" and isinstance(names := entry.get("applied"), list):
             self.before.update(map(str, names))
-        elif event == "intent":
-            self._take_intent(task, entry.get("generation"))
+        elif event in ("intent", "copy"):
+            self._take_intent(event, task, entry.get("generation"))
         elif event == "phase":
             self._take_phase(task, entry)
         elif event == "commit":
             self._take_commit(task, entry.get("located"))
-        elif event == "released":
-            self._held.pop(task, None)
+        elif event in ("released", "dropped"):
+            (self._held if event == "released" else self._spooled).pop(task, None)
         if event in ("end", "recovered"):
             self._unfinished.clear()
         if event in ("placed", "recovered"):
             self.located.clear()
 
-    def _take_intent(self, task: str, generation: object) -> None:
-        self._unfinished[task] = None
+    def _take_intent(self, event: object, task: str, generation: object) -> None:
+        """An action, or an inactive copy: nothing is unfinished where that is interrupted."""
+        if event == "intent":
+            self._unfinished[task] = None
         if isinstance(generation, int):
             self._intended[task] = generation
             self.generations[task] = max(self.generations.get(task, 0), generation + 1)
@@ -95,7 +103,9 @@ class JournalSummary:
         phase = entry.get("phase")
         if phase == "hold":
             self._held[task] = None
-        elif phase in ("start", "restore"):
+        elif phase in ("save", "transfer"):
+            self._spooled.setdefault(task, {})[str(entry.get("host"))] = None
+        elif phase in ("start", "activate", "restore"):
             self.located[task] = (str(entry.get("host")), self._intended.get(task, 0) + (phase == "restore"))
 
     def _take_commit(self, task: str, located: object) -> None:

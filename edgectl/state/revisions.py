@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from edgectl.model.plan import Action
-from edgectl.model.result import ActionResult, Outcome, Phase, PhaseResult
+from edgectl.model.result import ActionResult, CarriedState, Outcome, Phase, PhaseResult
 from edgectl.model.revision import Revision, RevisionOutcome
 from edgectl.state.journal import JOURNAL_FILE_NAME
 from edgectl.state.journal_reader import JournalEntry, read_journal
@@ -20,6 +20,7 @@ from edgectl.units import parse_instant
 
 Word = TypeVar("Word", bound=StrEnum)
 _ROTATED_NAME = re.compile(r"journal-([0-9]+)\.jsonl")
+_CARRIED_SECONDS = ("save_s", "transfer_s", "load_s", "age_s")
 _CUT_OFF_ERROR = "interrupted before it ended"
 
 
@@ -135,6 +136,21 @@ def _decode_action_result(entry: JournalEntry, *, cut_off: bool = False) -> Acti
         gap_s=_finite_or_none(entry.get("gap_s")),
         error=_CUT_OFF_ERROR if cut_off else _text_or_empty(entry.get("error")),
         located=_text_or_empty(entry.get("located")) or None,
+        state=_decode_carried_state(entry.get("state")),
+    )
+
+
+def _decode_carried_state(value: object) -> CarriedState | None:
+    """The state that a move took along; None where it took none."""
+    if not isinstance(value, dict):
+        return None
+    seconds = {key: _finite_or_none(value.get(key)) or 0.0 for key in _CARRIED_SECONDS}
+    return CarriedState(
+        host=_text_or_empty(value.get("host")),
+        size_bytes=_positive_int_or_zero(value.get("bytes")),
+        sent_bytes=_positive_int_or_zero(value.get("sent")),
+        sha256=_text_or_empty(value.get("sha256")),
+        **seconds,
     )
 
 

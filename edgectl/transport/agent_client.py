@@ -29,7 +29,7 @@ _AGENT_PACKAGE = "edgectl_agent"
 # and tcsh. The alarm ends an agent whose program never arrives (a dead connection); the program then sets the
 # deadline.
 _BOOTSTRAP = "import sys,_signal;_signal.alarm(30);s=sys.stdin.buffer;exec(s.read(int(s.readline())))"
-_FRAME_MARK = b"\nedgectl-frame "
+FRAME_MARK = b"\nedgectl-frame "
 # The frame, and one that a login shell may print again.
 _MAX_FRAMES = 2
 _NOT_FOUND_PATTERN = re.compile(
@@ -87,7 +87,8 @@ def _read_boot_programs() -> bytes:
     return b"".join(b"%d\n%s" % (len(text), text) for text in (stub, zlib.compress(boot, 9)))
 
 
-def _build_packet(request: Mapping[str, object], marker: str, timeout: float, agent: bytes) -> bytes:
+def build_packet(request: Mapping[str, object], marker: str, timeout: float, agent: bytes = b"") -> bytes:
+    """The standard input of one request: programs, head, request, agent."""
     body = json.dumps(request, allow_nan=False).encode()
     key = _CACHE_KEYS.get(str(request.get("fleet")), _PROCESS_KEY)
     operation = request["op"] if request.get("op") in protocol.REQUEST_KEYS else "unknown"
@@ -95,8 +96,12 @@ def _build_packet(request: Mapping[str, object], marker: str, timeout: float, ag
     return _read_boot_programs() + head.encode() + body + agent
 
 
-def call_agent(session: Session, request: Mapping[str, object], *, timeout: float) -> dict[str, object]:
+def call_agent(
+    session: Session, request: Mapping[str, object], *, timeout: float, data: bytes = b""
+) -> dict[str, object]:
     """Carry out ``request`` on the host; the agent is sent only where the host does not have it yet.
+
+    ``data``: bytes that the operation reads after its request.
 
     Raises:
         RefusedError: the agent declined.
@@ -106,10 +111,10 @@ def call_agent(session: Session, request: Mapping[str, object], *, timeout: floa
             then.
         ConnectError: the connection was lost.
     """
-    reply = _send_request(session, request, timeout, b"")
+    reply = _send_request(session, request, timeout, b"", data)
     if reply.get("missing") is True:
-        reply = _send_request(session, request, timeout, build_agent_zipapp())
-    return _check_reply(reply)
+        reply = _send_request(session, request, timeout, build_agent_zipapp(), data)
+    return check_reply(reply)
 
 
 def ask_host(
@@ -125,25 +130,26 @@ def ask_host(
 
 
 def _send_request(
-    session: Session, request: Mapping[str, object], timeout: float, agent: bytes
+    session: Session, request: Mapping[str, object], timeout: float, agent: bytes, data: bytes
 ) -> dict[str, object]:
     marker, began = secrets.token_hex(16), time.monotonic()
     answer = session.run(
         build_agent_command(session.python),
-        _build_packet(request, marker, timeout, agent),
+        build_packet(request, marker, timeout, agent) + data,
         timeout=timeout,
         limit=protocol.MAX_REPLY_BYTES,
     )
-    payload = _find_payload(answer.stdout, marker)
+    payload = find_payload(answer.stdout, marker)
     if payload is None and time.monotonic() - began >= timeout:
         # The host's own deadline was seen before ours.
         raise DeadlineError(f"no answer within {timeout:.3g} s")
     if payload is None:
-        raise _build_frame_error(answer)
-    return _parse_reply_json(payload)
+        raise build_frame_error(answer)
+    return parse_reply_json(payload)
 
 
-def _check_reply(reply: dict[str, object]) -> dict[str, object]:
+def check_reply(reply: dict[str, object]) -> dict[str, object]:
+    """The reply; raises the error that it states."""
     if reply.get("too_old") is True:
         raise NoPythonError(
             f"python on the host is {clean_text(reply.get('python'), 40)}, 3.6 or later is needed",
@@ -162,13 +168,13 @@ def _check_reply(reply: dict[str, object]) -> dict[str, object]:
     )
 
 
-def _find_payload(stdout: bytes, marker: str) -> bytes | None:
+def find_payload(stdout: bytes, marker: str) -> bytes | None:
     """The payload of the frame with our marker and correct digest; None if there is none or two differ.
 
     What a frame encloses is its payload. Only two frames are looked at: an agent sends one, and thousands,
     one within the other, would fill our memory.
     """
-    mark = _FRAME_MARK + marker.encode() + b" "
+    mark = FRAME_MARK + marker.encode() + b" "
     payload, at = None, stdout.find(mark)
     for _ in range(_MAX_FRAMES):
         if at < 0:
@@ -189,7 +195,7 @@ def _parse_frame_at(text: bytes, at: int) -> bytes | None:
     return payload if hashlib.sha256(payload).hexdigest().encode() == match[2] else None
 
 
-def _build_frame_error(answer: Reply) -> Exception:
+def build_frame_error(answer: Reply) -> Exception:
     """The error for an answer without a frame."""
     if _TOO_OLD_PATTERN.search(answer.stderr):
         return NoPythonError("python on the host is older than 3.6", hint=_PYTHON_HINT)
@@ -213,7 +219,7 @@ def _escape_unprintable(text: str) -> str:
     return "".join(letter if letter.isprintable() else f"\\x{ord(letter):02x}" for letter in text)
 
 
-def _parse_reply_json(payload: bytes) -> dict[str, object]:
+def parse_reply_json(payload: bytes) -> dict[str, object]:
     """Strict JSON: UTF-8, one object, no NaN, no infinity, no repeated names."""
     try:
         document = json.loads(
@@ -268,8 +274,21 @@ def stream_agent_log(
         {"op": protocol.OP_STATUS, **{key: request[key] for key in ("fleet", "host", "task")}},
         timeout=max(idle_timeout, 5.0),
     )
+    yield from stream_agent_chunks(session, request, idle_timeout=idle_timeout)
+
+
+def stream_agent_chunks(
+    session: Session, request: Mapping[str, object], *, idle_timeout: float, timeout: float = 0.0
+) -> Iterator[bytes]:
+    """Carry out a request whose reply is a stream, on a host that has the agent: its chunks as they come.
+
+    ``timeout``: seconds after which the host gives up; 0 for never.
+
+    Raises:
+        HostError: as `stream_agent_log`.
+    """
     marker = secrets.token_hex(16)
-    packet = _build_packet(request, marker, 0.0, b"")
+    packet = build_packet(request, marker, timeout, b"")
     reader = _ChunkReader(marker)
     for data in session.stream(build_agent_command(session.python), packet, idle_timeout=idle_timeout):
         yield from reader.feed(data)
@@ -313,7 +332,7 @@ class _ChunkReader:
                 yield rest[:length]
 
     def _opened(self) -> bool:
-        mark = _FRAME_MARK + self._marker.encode() + b" "
+        mark = FRAME_MARK + self._marker.encode() + b" "
         at = self._buffer.find(mark)
         payload = _parse_frame_at(self._buffer, at + len(mark)) if at >= 0 else None
         end = self._buffer.find(b"\n", at + len(mark)) + 1 + len(payload or b"")
@@ -321,7 +340,7 @@ class _ChunkReader:
             if len(self._buffer) > protocol.MAX_REPLY_BYTES:
                 raise ReplyError(f"no valid reply from the agent: {_format_excerpt(self._buffer)}")
             return False
-        _check_reply(_parse_reply_json(payload))
+        check_reply(parse_reply_json(payload))
         self._buffer = self._buffer[end + 1 :]
         self._open = True
         return True

@@ -19,6 +19,35 @@ class Reply:
     status: int
 
 
+class Exchange(Protocol):
+    """A running command whose standard input is still open. Used by one thread."""
+
+    def read(self, *, timeout: float) -> bytes:
+        """The next piece of its standard output; empty once it has ended.
+
+        Raises:
+            DeadlineError: nothing came within ``timeout`` seconds.
+            ConnectError: the connection was lost.
+        """
+        ...
+
+    def finish(self, data: bytes, *, timeout: float) -> None:
+        """Write ``data`` and close its standard input; a command that has ended is no error.
+
+        Raises:
+            DeadlineError, ConnectError: as `read`.
+        """
+        ...
+
+    def build_reply(self) -> Reply:
+        """Error output and exit status of the ended command; what was read before is not repeated."""
+        ...
+
+    def close(self) -> None:
+        """End it; never raises."""
+        ...
+
+
 class Session(Protocol):
     """An open connection to one host. Safe to use from several threads; every call has its own hard deadline.
 
@@ -45,6 +74,15 @@ class Session(Protocol):
 
         Raises:
             DeadlineError: no output for ``idle_timeout`` seconds.
+            ConnectError: the connection was lost.
+        """
+        ...
+
+    def exchange(self, command: str, stdin: bytes, *, timeout: float) -> Exchange:
+        """Run ``command``, feed it ``stdin`` within ``timeout`` seconds, and leave its input open.
+
+        Raises:
+            DeadlineError: it did not start or read in time.
             ConnectError: the connection was lost.
         """
         ...

@@ -18,7 +18,7 @@ from edgectl.dataclass import dataclass
 from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError, HostKeyError
 from edgectl.model.inventory import Host
 from edgectl.transport.backoff import compute_backoff_s
-from edgectl.transport.base import Reply, Session, Transport
+from edgectl.transport.base import Exchange, Reply, Session, Transport
 
 # sshd allows 10 channels on a connection (MaxSessions); some stay free for others.
 _MAX_CHANNELS = 8
@@ -55,6 +55,13 @@ class GuardedSession:
         with self._enter_guards():
             yield from self._session.stream(command, stdin, idle_timeout=idle_timeout)
 
+    def exchange(self, command: str, stdin: bytes, *, timeout: float) -> "GuardedExchange":
+        """As ``Session.exchange``, within the guards until it is closed."""
+        stack = self._enter_guards()
+        with stack:
+            exchange = self._session.exchange(command, stdin, timeout=timeout)
+            return GuardedExchange(exchange, stack.pop_all())
+
     def add_guard(self, guard: Guard) -> "GuardedSession":
         """The same session within one more guard; close only the new one."""
         return GuardedSession(self._session, (*self._guards, guard), self.close)
@@ -80,6 +87,40 @@ class GuardedSession:
             stack.close()
             raise
         return stack
+
+
+class GuardedExchange:
+    """An exchange within the guards of its session, which hear of its errors."""
+
+    def __init__(self, exchange: Exchange, guards: ExitStack) -> None:
+        self._exchange = exchange
+        self._guards = guards
+
+    def read(self, *, timeout: float) -> bytes:
+        """As ``Exchange.read``."""
+        with self._leave_on_error():
+            return self._exchange.read(timeout=timeout)
+
+    def finish(self, data: bytes, *, timeout: float) -> None:
+        """As ``Exchange.finish``."""
+        with self._leave_on_error():
+            self._exchange.finish(data, timeout=timeout)
+
+    def build_reply(self) -> Reply:
+        """As ``Exchange.build_reply``."""
+        return self._exchange.build_reply()
+
+    def close(self) -> None:
+        """As ``Exchange.close``."""
+        self._exchange.close()
+        self._guards.close()
+
+    @contextlib.contextmanager
+    def _leave_on_error(self) -> Iterator[None]:
+        with contextlib.ExitStack() as stack:
+            stack.push(self._guards)
+            yield
+            stack.pop_all()
 
 
 def guard_session(session: Session, guard: Guard) -> GuardedSession:
@@ -237,6 +278,13 @@ class BackoffTransport:
     def address(self, host: Host) -> str:
         """As the transport's own."""
         return self._transport.address(host)
+
+    def extend_rest(self, name: str, seconds: float) -> None:
+        """Let a host rest for ``seconds`` from now if its last attempt failed."""
+        rest = self._resting.get(name)
+        if rest is not None:
+            until = max(rest.until, self._clock() + seconds)
+            self._resting[name] = _Rest(error=rest.error, failures=rest.failures, until=until)
 
     @contextlib.contextmanager
     def _note_outcome(self, name: str) -> Iterator[None]:

@@ -4,6 +4,7 @@
         {"edge1": lambda request: {"v": 1, "op": request["op"]}, "edge2": ConnectError("switched off")}
     )
 
+A request that waits for ``go`` reaches its handler when that comes; without it, the reply is ``not-asked``.
 A handler takes the request and returns the reply; it may raise a `HostError`: a `RefusedError` is the refusal
 of the agent, any other one a failed connection. An error in place of a handler: connecting to the host fails.
 """
@@ -14,7 +15,8 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from typing import Self
 
-from edgectl.errors import ConnectError, HostError, RefusedError
+from edgectl.agent.link import protocol
+from edgectl.errors import ConnectError, DeadlineError, HostError, RefusedError
 from edgectl.model.inventory import Host
 from edgectl.transport.agent_client import build_agent_command
 from edgectl.transport.base import Reply
@@ -75,6 +77,11 @@ class FakeSession:
         yield b"%d\n%s" % (len(text), text) if text else b""
         yield b"end\n"
 
+    def exchange(self, command: str, stdin: bytes, *, timeout: float) -> "FakeExchange":
+        """Hold one request (see `Session.exchange`)."""
+        del timeout  # instant
+        return FakeExchange(unpack_request(stdin)[0], lambda: self._answer(command, stdin)[1])
+
     def close(self) -> None:
         """Nothing to close."""
 
@@ -93,6 +100,34 @@ class FakeSession:
             return marker, self._handler(request)
         except RefusedError as error:
             return marker, {"error": {"kind": "refused", "message": error.message, "hint": error.hint}}
+
+
+class FakeExchange:
+    """A request that is prepared at once, and answered when its input is closed (see `Exchange`)."""
+
+    def __init__(self, marker: str, answer: Callable[[], Mapping[str, object]]) -> None:
+        self._marker = marker
+        self._answer = answer
+        self._output = [f"\n{protocol.HELD_WORD} {marker}\n".encode()]
+
+    def read(self, *, timeout: float) -> bytes:
+        """The next piece; DeadlineError where nothing would ever come."""
+        if not self._output:
+            raise DeadlineError(f"no answer within {timeout:.3g} s")
+        return self._output.pop(0)
+
+    def finish(self, data: bytes, *, timeout: float) -> None:
+        """Answer the request where ``data`` lets it go on."""
+        del timeout  # instant
+        reply = self._answer() if data == protocol.GO_LINE else {"state": protocol.NOT_ASKED}
+        self._output += [frame_reply(self._marker, reply), b""]
+
+    def build_reply(self) -> Reply:
+        """A command that ended well and complained of nothing."""
+        return Reply(stdout=b"", stderr=b"", status=0)
+
+    def close(self) -> None:
+        """Nothing to close."""
 
 
 def unpack_request(packet: bytes) -> tuple[str, dict[str, object]]:

@@ -7,8 +7,10 @@ import selectors
 import signal
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from typing import IO, Self
 
 from edgectl.errors import ConnectError, DeadlineError, ReplyError
@@ -68,12 +70,32 @@ class LocalSession:
                     return
                 yield data
 
+    def exchange(
+        self,
+        command: str,
+        stdin: bytes,
+        *,
+        timeout: float,
+        check_end: Callable[[Reply], None] = lambda _reply: None,
+    ) -> "LocalExchange":
+        """As ``Session.exchange``. ``check_end`` may raise an error for the end of the command."""
+        with ExitStack() as stack:
+            stderr = stack.enter_context(tempfile.TemporaryFile())
+            process = stack.enter_context(self._started(command, stderr))
+            kept = ExitStack()
+            exchange = LocalExchange(self._name, process, stderr, kept, check_end)
+            exchange.write(stdin, timeout=timeout)
+            kept.push(stack.pop_all())
+            return exchange
+
     @contextlib.contextmanager
-    def _started(self, command: str) -> Iterator[subprocess.Popen[bytes]]:
+    def _started(
+        self, command: str, stderr: IO[bytes] | int = subprocess.PIPE
+    ) -> Iterator[subprocess.Popen[bytes]]:
         pipe = subprocess.PIPE
         try:
             process = subprocess.Popen(
-                ["/bin/sh", "-c", command], stdin=pipe, stdout=pipe, stderr=pipe, start_new_session=True
+                ["/bin/sh", "-c", command], stdin=pipe, stdout=pipe, stderr=stderr, start_new_session=True
             )
         except OSError as error:
             raise ConnectError(f"cannot start a process: {error.strerror}", host=self._name) from None
@@ -105,6 +127,63 @@ def _end_process_group(process: subprocess.Popen[bytes]) -> None:
         if pipe is not None:
             with contextlib.suppress(BrokenPipeError):
                 pipe.close()
+
+
+class LocalExchange:
+    """A process whose standard input is open (see `Exchange`)."""
+
+    def __init__(
+        self,
+        name: str,
+        process: subprocess.Popen[bytes],
+        stderr: IO[bytes],
+        stack: ExitStack,
+        check_end: Callable[[Reply], None],
+    ) -> None:
+        self._name, self._process, self._stderr = name, process, stderr
+        self._stack, self._check_end = stack, check_end
+
+    def read(self, *, timeout: float) -> bytes:
+        """As ``Exchange.read``."""
+        pipe = self._process.stdout
+        if pipe is None or not select.select([pipe], [], [], timeout)[0]:
+            raise DeadlineError(f"no answer within {timeout:.3g} s", host=self._name)
+        data = os.read(pipe.fileno(), _BLOCK_BYTES)
+        if not data:
+            self._check_end(self.build_reply())
+        return data
+
+    def write(self, data: bytes, *, timeout: float) -> None:
+        """Write ``data``; a process that has ended is no error. Raises DeadlineError."""
+        pipe, deadline = self._process.stdin, time.monotonic() + timeout
+        if pipe is None or pipe.closed:
+            return
+        os.set_blocking(pipe.fileno(), False)
+        with contextlib.suppress(BrokenPipeError):
+            while data:
+                if not select.select([], [pipe], [], max(0.0, deadline - time.monotonic()))[1]:
+                    raise DeadlineError(f"no answer within {timeout:.3g} s", host=self._name)
+                data = data[os.write(pipe.fileno(), data[:_BLOCK_BYTES]) :]
+
+    def finish(self, data: bytes, *, timeout: float) -> None:
+        """As ``Exchange.finish``."""
+        self.write(data, timeout=timeout)
+        if self._process.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                self._process.stdin.close()
+
+    def build_reply(self) -> Reply:
+        """As ``Exchange.build_reply``."""
+        try:
+            status = self._process.wait(timeout=_GRACE_S)
+        except subprocess.TimeoutExpired:
+            status = -1
+        self._stderr.seek(0)
+        return Reply(stdout=b"", stderr=self._stderr.read(_BLOCK_BYTES), status=status)
+
+    def close(self) -> None:
+        """As ``Exchange.close``."""
+        self._stack.close()
 
 
 class _PipeExchange:

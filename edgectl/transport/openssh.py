@@ -20,7 +20,7 @@ from typing import IO, Self
 
 from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError, HostKeyError
 from edgectl.model.inventory import Host
-from edgectl.transport.base import Reply
+from edgectl.transport.base import Exchange, Reply
 from edgectl.transport.local import LocalSession
 from edgectl.transport.sockets import CONNECT_TIMEOUT_S
 from edgectl.transport.ssh_config import SshConfigResolver, build_ssh_options, parse_jump_host
@@ -193,6 +193,15 @@ class OpenSshSession:
                 if process.wait(timeout=idle_timeout) == SSH_FAILED_STATUS:
                     said.seek(0)
                     raise translate_openssh_error(said.read(_BLOCK_BYTES), self.name)
+
+    def exchange(self, command: str, stdin: bytes, *, timeout: float) -> Exchange:
+        """Run ``command`` and leave its input open (see `Session.exchange`); login errors show at its end."""
+        line = "exec " + shlex.join([*self._command, command])
+        return LocalSession(self.name).exchange(line, stdin, timeout=timeout, check_end=self._check_end)
+
+    def _check_end(self, reply: Reply) -> None:
+        if reply.status == SSH_FAILED_STATUS:
+            raise translate_openssh_error(reply.stderr, self.name)
 
     def close(self) -> None:
         """Nothing is held open between commands."""

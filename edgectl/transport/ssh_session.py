@@ -59,7 +59,7 @@ class SshSession:
         """Run ``command`` and yield its output as it comes (see `Session.stream`)."""
         with (
             self.allowance.grant(MAX_STREAM_BYTES),
-            self._errors(idle_timeout),
+            self.translate_errors(idle_timeout),
             contextlib.closing(self._open(time.monotonic() + idle_timeout)) as channel,
         ):
             with watchdog(idle_timeout + GRACE_S, self._cut):
@@ -72,7 +72,20 @@ class SshSession:
                     break
                 if not arrived.wait(idle_timeout):
                     raise DeadlineError(f"no output for {idle_timeout:g} s")
-            self._check(channel)
+            self.check(channel)
+
+    def exchange(self, command: str, stdin: bytes, *, timeout: float) -> "SshExchange":
+        """Run ``command`` and leave its input open (see `Session.exchange`)."""
+        deadline = time.monotonic() + timeout
+        stack = contextlib.ExitStack()
+        with stack, self.translate_errors(timeout):
+            with watchdog(timeout + GRACE_S, self._cut):
+                stack.enter_context(self.allowance.grant(MAX_STREAM_BYTES))
+                channel = stack.enter_context(contextlib.closing(self._open(deadline)))
+                channel.settimeout(timeout)
+                channel.exec_command(command)
+                _feed_input(channel, stdin, last=False)
+            return SshExchange(self, channel, stack.pop_all())
 
     def close(self) -> None:
         """Close the connection and what it was tunnelled through; never raises."""
@@ -92,6 +105,22 @@ class SshSession:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
+    def check(self, channel: paramiko.Channel) -> None:
+        """Raise ConnectError for a channel without an exit status because the whole connection ended."""
+        if channel.exit_status == -1 and not self.transport.is_active():
+            raise ConnectError("the connection was lost", hint="try again; the host may have restarted")
+
+    @contextlib.contextmanager
+    def translate_errors(self, seconds: float) -> Iterator[None]:
+        """Raise what goes wrong within as an error of ours; ``seconds``: the time that a time-out means."""
+        try:
+            yield
+        except TimeoutError as error:
+            raise DeadlineError(f"no answer within {seconds:.3g} s", host=self.name) from error
+        except Exception as error:
+            ours = translate_ssh_error(error, self.name)
+            raise ours from (None if ours is error else error)
+
     def _cut(self) -> None:
         hang_up(self._line)
 
@@ -101,12 +130,12 @@ class SshSession:
     ) -> Iterator[paramiko.Channel]:
         """A channel on which ``command`` runs and has its input; errors within are translated."""
         seconds = deadline - time.monotonic()
-        with self._errors(seconds), watchdog(seconds + GRACE_S, self._cut) as watch:
+        with self.translate_errors(seconds), watchdog(seconds + GRACE_S, self._cut) as watch:
             try:
                 with contextlib.closing(self._open(deadline, window)) as channel:
                     _start_command(channel, command, stdin, seconds)
                     yield channel
-                    self._check(channel)
+                    self.check(channel)
             except Exception as error:
                 if self.allowance.is_spent():
                     raise ConnectError(
@@ -138,20 +167,46 @@ class SshSession:
         left = max(0.01, deadline - time.monotonic())
         return self.transport.open_session(window_size=window, timeout=left)
 
-    def _check(self, channel: paramiko.Channel) -> None:
-        """A channel that ended without an exit status because the whole connection did."""
-        if channel.exit_status == -1 and not self.transport.is_active():
-            raise ConnectError("the connection was lost", hint="try again; the host may have restarted")
 
-    @contextlib.contextmanager
-    def _errors(self, seconds: float) -> Iterator[None]:
-        try:
-            yield
-        except TimeoutError as error:
-            raise DeadlineError(f"no answer within {seconds:.3g} s", host=self.name) from error
-        except Exception as error:
-            ours = translate_ssh_error(error, self.name)
-            raise ours from (None if ours is error else error)
+class SshExchange:
+    """A channel whose standard input is open (see `Exchange`)."""
+
+    def __init__(self, session: SshSession, channel: paramiko.Channel, stack: contextlib.ExitStack) -> None:
+        self._session, self._channel, self._stack = session, channel, stack
+        self._stderr = bytearray()
+        self._arrived = _watch_arrivals(channel)
+
+    def read(self, *, timeout: float) -> bytes:
+        """As ``Exchange.read``."""
+        deadline = time.monotonic() + timeout
+        with self._session.translate_errors(timeout):
+            while True:
+                self._arrived.clear()
+                piece = b"".join(_read_available(self._channel, self._stderr))
+                del self._stderr[:-_CHUNK_BYTES]
+                if piece:
+                    return piece
+                if _has_output_ended(self._channel):
+                    self._session.check(self._channel)
+                    return b""
+                if not self._arrived.wait(max(0.0, deadline - time.monotonic())):
+                    raise DeadlineError(f"no answer within {timeout:.3g} s")
+
+    def finish(self, data: bytes, *, timeout: float) -> None:
+        """As ``Exchange.finish``."""
+        with self._session.translate_errors(timeout):
+            self._channel.settimeout(timeout)
+            _feed_input(self._channel, data, last=True)
+
+    def build_reply(self) -> Reply:
+        """As ``Exchange.build_reply``."""
+        self._channel.status_event.wait(GRACE_S)
+        return Reply(stdout=b"", stderr=bytes(self._stderr), status=self._channel.exit_status)
+
+    def close(self) -> None:
+        """As ``Exchange.close``."""
+        with contextlib.suppress(Exception):
+            self._stack.close()
 
 
 def _start_command(channel: paramiko.Channel, command: str, stdin: bytes, seconds: float) -> None:
@@ -161,9 +216,14 @@ def _start_command(channel: paramiko.Channel, command: str, stdin: bytes, second
     """
     channel.settimeout(seconds)
     channel.exec_command(command)
+    _feed_input(channel, stdin, last=True)
+
+
+def _feed_input(channel: paramiko.Channel, data: bytes, *, last: bool) -> None:
     try:
-        channel.sendall(stdin)
-        channel.shutdown_write()
+        channel.sendall(data)
+        if last:
+            channel.shutdown_write()
     except TimeoutError:
         raise
     except OSError:

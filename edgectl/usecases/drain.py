@@ -5,12 +5,13 @@ import time
 from collections.abc import Callable, Sequence
 
 from edgectl.dataclass import dataclass
-from edgectl.executor.operator_plans import list_running_instances
+from edgectl.executor.operator_plans import list_copies, list_running_instances
 from edgectl.model.manager_state import ManagerState
-from edgectl.model.plan import Plan
+from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy
 from edgectl.model.result import Outcome
 from edgectl.model.snapshot import Snapshot
+from edgectl.model.standby_plan import StandbyAction
 from edgectl.names import check_known_names
 from edgectl.state.manager_state import load_manager_state, save_manager_state
 from edgectl.usecases.coordination import share_state
@@ -107,9 +108,14 @@ def _plan_drain(fleet: Fleet, policy: Policy, names: Sequence[str], options: App
     leaving = _list_tasks_on(snapshot, names) | {
         task for task, placement in manager.placements.items() if placement.host in names
     }
+    copied = _list_copied_tasks(snapshot, names)
     return dataclasses.replace(
         made,
-        steps=tuple(step for step in made.steps if step.task in leaving),
+        steps=tuple(
+            step if step.task in leaving else _keep_copies_alone(step, names)
+            for step in made.steps
+            if step.task in leaving or step.task in copied
+        ),
         expected={},
         tasks_left_alone={},
     )
@@ -121,6 +127,21 @@ def _list_tasks_on(snapshot: Snapshot, names: Sequence[str]) -> set[str]:
         for task, places in list_running_instances(snapshot).items()
         if not places.keys().isdisjoint(names)
     }
+
+
+def _list_copied_tasks(snapshot: Snapshot, names: Sequence[str]) -> set[str]:
+    """The tasks with inactive copies on the hosts."""
+    return {task for task, places in list_copies(snapshot).items() if not places.keys().isdisjoint(names)}
+
+
+def _keep_copies_alone(step: Step, names: Sequence[str]) -> Step:
+    """The step of a task that runs elsewhere, with the actions on its copies alone; if it is about to be
+    changed itself, with their stops on the drained hosts.
+    """
+    if not step.action.changes and not step.stop:
+        return step
+    stops = tuple(each for each in step.standbys if each.action is StandbyAction.STOP and each.host in names)
+    return dataclasses.replace(step, action=Action.NONE, stop=(), instances={}, changed=(), standbys=stops)
 
 
 def _mark_draining(fleet: Fleet, names: Sequence[str]) -> bool:
@@ -148,11 +169,12 @@ def _can_retry(applied: ApplyResult, options: ApplyOptions, deadline: float) -> 
 def _list_remaining_tasks(
     fleet: Fleet, names: Sequence[str], made: Plan, options: ApplyOptions
 ) -> tuple[tuple[str, str], ...]:
-    """Tasks that run on the hosts, and tasks last known on those that do not answer."""
+    """Tasks that run or wait on the hosts, and tasks last known on those that do not answer."""
     snapshot = probe_fleet(fleet, options.probe)
     seen = [
         (task, host)
-        for task, places in list_running_instances(snapshot).items()
+        for found in (list_running_instances(snapshot), list_copies(snapshot))
+        for task, places in found.items()
         for host in places
         if host in names
     ]

@@ -10,6 +10,7 @@ from edgectl.errors import StateError
 from edgectl.executor.hold_release import release_hold
 from edgectl.executor.manager_state_update import compute_next_generations, update_manager_state
 from edgectl.executor.run import RunIdentity, RunOptions, run_plan
+from edgectl.executor.state_removal import drop_left_state
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.gateway.task_lookup import find_doubled_instances
 from edgectl.model.manager_state import ManagerState
@@ -231,8 +232,10 @@ def _warn_of_unfinished_apply(fleet: Fleet) -> JournalSummary:
 
 
 def _recover_interrupted_apply(fleet: Fleet, log: JournalSummary, silent: SilentHosts) -> None:
-    """Release held robots once a ready instance controls them; close the record of the interrupted apply."""
-    if not log.unfinished and not log.held:
+    """Release held robots once a ready instance controls them, remove the state that moves have left on
+    hosts, close the record of the interrupted apply.
+    """
+    if not log.unfinished and not log.held and not log.spooled:
         return
     with Journal.open(fleet.state, clock=fleet.clock, warn=fleet.warn) as journal:
         places = load_manager_state(fleet.state).placements
@@ -250,6 +253,12 @@ def _recover_interrupted_apply(fleet: Fleet, log: JournalSummary, silent: Silent
                 )
             if released:
                 journal.append("released", task=task)
+        for task, hosts in journal.log.spooled.items():
+            with track_heartbeats(fleet) as tracked:
+                transport = SilenceTransport(tracked.transport, silent)
+                dropped = drop_left_state(task, hosts, fleet.inventory, transport, fleet.lease)
+            if dropped:
+                journal.append("dropped", task=task)
         journal.append("recovered", tasks=list(log.unfinished))
 
 

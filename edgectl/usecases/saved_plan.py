@@ -10,6 +10,7 @@ from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.snapshot import Snapshot
+from edgectl.model.standby_plan import StandbyAction
 from edgectl.model.task import Tasks
 from edgectl.names import natural_key
 from edgectl.scheduler.assign import assign
@@ -38,7 +39,8 @@ def list_file_conflicts(plan: Plan, inventory: Inventory, tasks: Tasks) -> tuple
     for step in plan.steps:
         unknown = sorted(_list_step_hosts(step) - inventory.hosts.keys(), key=natural_key)
         found += [f"{name} ({step.action.value} of {step.task}) is not in the inventory" for name in unknown]
-        if step.task not in tasks.tasks and step.action not in (Action.STOP, Action.NONE):
+        starts = [each for each in step.standbys if each.action is not StandbyAction.STOP]
+        if step.task not in tasks.tasks and (starts or step.action not in (Action.STOP, Action.NONE)):
             found.append(f"{step.task} is not in the task files")
     return tuple(found)
 
@@ -68,13 +70,15 @@ def list_unsafe_steps(
                 else None
             )
             or _find_difference(step, now.get(step.task))
+            or _find_copy_difference(step, again.get(step.task))
         )
     )
 
 
 def _list_step_hosts(step: Step) -> set[str]:
     placed = {step.decision.host, step.decision.previous_host} - {None}
-    return {str(host) for host in placed} | {*step.stop, *step.instances}
+    copies = {each.host for each in step.standbys if each.host is not None}
+    return {str(host) for host in placed} | {*step.stop, *step.instances} | copies
 
 
 def _derive_steps(
@@ -113,6 +117,15 @@ def _find_difference(step: Step, now: Decision | None) -> str | None:
         return None
     planned = step.decision.host or "no host"
     return f"{step.task}: {planned} in the plan, {now.host or 'no host'} if planned now ({now.reason.value})"
+
+
+def _find_copy_difference(step: Step, again: Step | None) -> str | None:
+    """A copy that a plan of now does not start, stop or activate; ``again``: its step."""
+    now = {(each.host, each.action, each.instance) for each in again.standbys} if again is not None else set()
+    for each in step.standbys:
+        if each.action is not StandbyAction.NONE and (each.host, each.action, each.instance) not in now:
+            return f"{each.action.value} of the standby of {step.task} on {each.host} is not planned now"
+    return None
 
 
 def _is_fixed(decision: Decision) -> bool:

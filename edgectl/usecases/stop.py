@@ -8,6 +8,7 @@ from edgectl.executor.operator_plans import (
     build_restart_plan,
     build_stop_plan,
     drop_given_up_runs,
+    list_copies,
     list_running_instances,
     list_unseen_placements,
 )
@@ -126,8 +127,9 @@ def _check_task_names(fleet: Fleet, names: Sequence[str], snapshot: Snapshot) ->
 
 
 def _list_known_tasks(snapshot: Snapshot) -> dict[str, object]:
-    """The tasks that run, or may run on a silent host or at a lost place."""
+    """The tasks that run or wait, or may run on a silent host or at a lost place."""
     return {
+        **list_copies(snapshot),
         **list_running_instances(snapshot),
         **list_unseen_placements(snapshot),
         **list_lost_tasks(snapshot),

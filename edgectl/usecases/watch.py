@@ -23,10 +23,19 @@ from edgectl.transport.backoff import compute_backoff_s
 from edgectl.transport.connections import REFUSED_BACKOFF_S, BackoffTransport, SessionPool
 from edgectl.transport.fleet_lease import WatchNote
 from edgectl.usecases.control import Control, ControlRequest
+from edgectl.usecases.failover_wake import (
+    FailoverStage,
+    compute_stages,
+    find_next_stage_s,
+    has_advanced,
+    has_replaced_tasks,
+    list_failover_times,
+    list_rested_hosts,
+)
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.fleet_lease import compute_files_digest, hold_fleet, release_fleet
 from edgectl.usecases.given_up import take_given_up_reminders
-from edgectl.usecases.heartbeat import send_heartbeats
+from edgectl.usecases.heartbeat import load_state_with_heartbeats, send_heartbeats
 from edgectl.usecases.plan import limit_plan_to_tasks, make_plan
 from edgectl.usecases.plan_execution import (
     ApplyOptions,
@@ -111,6 +120,7 @@ class _WatchLoop:
         self._resting: dict[str, _TaskBackoff] = {}
         self._smooth: Snapshot | None = None
         self._planned: PlanSignature = ()
+        self._stages: dict[str, FailoverStage] = {}
         self._short: tuple[Resource, ...] = ()
         self._answering: tuple[str, ...] = ()
         self._take_over = options.take_over
@@ -163,7 +173,29 @@ class _WatchLoop:
             yield dataclasses.replace(cycle, seconds=seconds, next_in=None if last else left)
             if last:
                 return
-            wish = self._options.control.wait(max(0.0, began + seconds + left - self._now()))
+            wish = self._wait(began + seconds + left)
+
+    def _wait(self, until: float) -> ControlRequest | None:
+        """Wait for the next cycle; it begins at once when the tasks of a silent host may be replaced."""
+        while True:
+            seconds = max(0.0, until - self._now())
+            sooner = find_next_stage_s(self._list_failover_times(), self._options.probe.timeout)
+            if sooner is None or sooner >= seconds:
+                return self._options.control.wait(seconds)
+            wish = self._options.control.wait(sooner)
+            stages = compute_stages(self._list_failover_times(), self._options.probe.timeout)
+            if wish is not None or has_advanced(self._stages, stages):
+                return wish
+
+    def _list_failover_times(self) -> dict[str, float]:
+        """Seconds until the tasks of each host may be replaced; a state that cannot be read costs a cycle."""
+        if not self._options.apply or not has_replaced_tasks(self._fleet.tasks):
+            return {}
+        try:
+            manager = load_state_with_heartbeats(self._fleet)
+        except EdgectlError:
+            return {}
+        return list_failover_times(self._fleet.tasks, manager, self._fleet.clock())
 
     def _cycle(self, number: int, *, paused: bool) -> Cycle:
         """Run one cycle; an error is recorded in it."""
@@ -258,6 +290,10 @@ class _WatchLoop:
     def _sample(self, fleet: Fleet) -> Snapshot:
         """Probe the fleet; unreachable hosts are retried with back-off."""
         options = dataclasses.replace(self._options.probe, probe_idle_links=True)
+        times = self._list_failover_times()
+        for host, seconds in list_rested_hosts(times, self._stages, options.timeout).items():
+            self._patient.extend_rest(host, seconds)
+        self._stages = compute_stages(times, options.timeout)
         snapshot = probe_fleet(dataclasses.replace(fleet, transport=self._patient), options)
         self._answering = tuple(name for name, host in snapshot.hosts.items() if host.ok)
         if fleet.lease is not None:

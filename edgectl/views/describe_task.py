@@ -22,6 +22,14 @@ from edgectl.views.output import ItemView
 from edgectl.views.output_format import ITEM_FORMATS
 from edgectl.views.reasons import describe_reason
 from edgectl.views.rows import encode_run_row, find_task_demand
+from edgectl.views.standbys import (
+    describe_standby,
+    describe_standby_rule,
+    describe_state_rule,
+    encode_standby_row,
+    list_standby_runs,
+    render_standby_state,
+)
 from edgectl.views.state import TASK_STATE_STYLES, format_silence, format_task_state, resolve_absent_task
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row
 from edgectl.views.usage import (
@@ -56,6 +64,7 @@ class TaskDetailsView(ItemView):
         self._step, self._events = step, events
         self._task = tasks.tasks.get(name)
         self._runs = _select_task_runs(name, snapshot)
+        self._copies = [(host, copy) for task, host, copy in list_standby_runs(snapshot) if task == name]
 
     def table(self, look: RenderOptions = PLAIN) -> str:
         """Fields, then each run with its usage and metrics, then events."""
@@ -69,6 +78,9 @@ class TaskDetailsView(ItemView):
         parts = [render_fields(fields, look)]
         for host, sample in self._runs:
             parts += self._render_run(host, sample, look)
+        for host, copy in self._copies:
+            rows = _render_run_rows(copy, self._snapshot.taken_at, render_standby_state(copy))
+            parts.append(render_section(f"Standby on {host}", rows, look))
         return "".join([*parts, render_events_section(self._events, look)])
 
     def _render_run(self, host: str, sample: TaskSample, look: RenderOptions) -> list[str]:
@@ -97,6 +109,9 @@ class TaskDetailsView(ItemView):
             "runs": [
                 encode_run_row(self._name, host, sample, self._find_demand(host), self._snapshot)
                 for host, sample in self._runs
+            ],
+            "standbys": [
+                encode_standby_row(self._name, host, copy, {}, self._snapshot) for host, copy in self._copies
             ],
             "placement": None
             if placed is None
@@ -137,9 +152,12 @@ def _list_spec_fields(stated: Task) -> list[Field]:
                     handoff.order.value,
                     *hooks,
                     *([f"within {format_duration(handoff.timeout)}"] if hooks else []),
+                    *_list_state_parts(stated),
                 ]
             ),
         ),
+        ("Standby", describe_standby_rule(stated)),
+        ("State", describe_state_rule(stated)),
         ("Unreachable", _format_unreachable_policy(stated)),
         ("Limits", _format_task_limits(stated)),
         ("Environment", format_pairs(stated.env)),
@@ -223,6 +241,10 @@ def _list_placement_fields(name: str, stated: Task | None, value: Snapshot, step
         ("Downtimes", "; ".join(downtimes)),
         ("Deferred", memory.deferred.get(name, "")),
         ("Decision", describe_reason(step) if step is not None else ""),
+        *(
+            (f"Standby on {each.host or '-'}", describe_standby(name, each))
+            for each in (step.standbys if step is not None else ())
+        ),
     ]
 
 
@@ -243,10 +265,10 @@ def _select_task_runs(name: str, value: Snapshot) -> list[tuple[str, TaskSample]
     return [(place, each.tasks[name]) for place, each in value.hosts.items() if name in each.tasks]
 
 
-def _render_run_rows(sample: TaskSample, now: float) -> list[Row]:
+def _render_run_rows(sample: TaskSample, now: float, state: Cell | None = None) -> list[Row]:
     since = _format_ago(sample.started_at, now) if sample.started_at else ""
     found: list[Field] = [
-        ("State:", Cell(format_task_state(sample), TASK_STATE_STYLES[sample.state])),
+        ("State:", state or Cell(format_task_state(sample), TASK_STATE_STYLES[sample.state])),
         ("Since:", since),
         ("Ended:", "" if sample.ended_at is None else _format_ago(sample.ended_at, now)),
         ("Process:", str(sample.pid or "")),
@@ -302,9 +324,20 @@ def _render_usage_rows(sample: TaskSample, demand: Amounts) -> list[Row]:
     return [head("resource", "used", "demand", "excess"), *rows] if sample.state.alive else []
 
 
+def _list_state_parts(stated: Task) -> list[str]:
+    """What takes the state of a task along in a move."""
+    rule = stated.state
+    if rule is None:
+        return []
+    parts = {"save": _format_check(rule.save), "load": _format_check(rule.load), "state of": rule.topic}
+    return [f"{what} {text}" for what, text in parts.items() if text]
+
+
 def _encode_task_spec(stated: Task) -> Document:
     handoff = stated.handoff
     hooks = {"safe_when": handoff.safe_when, "hold": handoff.hold, "release": handoff.release}
+    if stated.state is not None:
+        hooks |= {"save": stated.state.save, "load": stated.state.load}
     return {
         "template": stated.template,
         "task_kind": stated.kind.value,
@@ -321,6 +354,7 @@ def _encode_task_spec(stated: Task) -> Document:
         "handoff": {
             "order": handoff.order.value,
             **{key: check.command for key, check in hooks.items() if check is not None},
+            **({} if stated.state is None or stated.state.topic is None else {"topic": stated.state.topic}),
         },
         "on_unreachable": stated.on_unreachable.value,
         "env": {key: str(text) for key, text in stated.env.items()},

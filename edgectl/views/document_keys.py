@@ -27,14 +27,14 @@ _RUN = (
     "pid", "instance", "generation", "managed", "given_up", "exit_code", "last_exit", "enforcement",
     "partial", "log_tail", "metrics", "latency",
 )  # fmt: skip
-_TASK = (*_RUN, "contacted_at", "in_files", "task_kind", "robot_names", "needs", "labels")
+_TASK = (*_RUN, "standby", "contacted_at", "in_files", "task_kind", "robot_names", "needs", "labels")
 _LINK = ("edge", "robot", "taken_at", *_LINK_SAMPLE)
 _EVENT = ("id", "at", "kind", "host", "task", "message")
 _ACTION = (
-    "task", "action", "outcome", "host", "previous_host", "located", "downtime_s", "gap_s", "phases",
-    "error", "hint",
+    "task", "action", "outcome", "host", "previous_host", "located", "downtime_s", "gap_s", "carried",
+    "phases", "error", "hint",
 )  # fmt: skip
-_RESULT = ("revision", "duration_s", "done", "interrupted", "actions")
+_RESULT = ("revision", "duration_s", "done", "interrupted", "actions", "standbys")
 _REVISION = ("revision", "started_at", "user", "verb", "outcome", "duration_s", "counts")
 _ESTIMATE = ("mean", "std", "half_ci95", "run_count")
 
@@ -66,8 +66,8 @@ LIST_KEYS: KeysByName = {
     "revision": _REVISION,
     "robot": _HOST,
     "task": _TASK,
-    "task-status": (*_RUN, "contacted_at", "node_names", "cut_off_from", "attention"),
-    "task-usage": (*_RUN, "history"),
+    "task-status": (*_RUN, "contacted_at", "node_names", "cut_off_from", "attention", "standby"),
+    "task-usage": (*_RUN, "standby", "history"),
 }  # fmt: skip
 
 # Kind -> keys of a single item.
@@ -83,14 +83,16 @@ ITEM_KEYS: KeysByName = {
     "explanation": (
         "task", "action", "reason", "host", "previous_host", "runner_up", "total", "lead", "slack", "noise",
         "fragile", "pinned_to", "equal_hosts", "tie_rule", "contributions", "flips",
-        "deadline_s", "latencies",
+        "deadline_s", "latencies", "standbys",
     ),
     "map-score": ("ssim",),
     "result": _RESULT,
     "revision": (*_REVISION, "actions", "placements"),
     "robot": _HOST_DETAILS,
     "simulation": ("scenario", "reference", "assumptions", "notes", "schemes"),
-    "task": ("task", "taken_at", "spec", "runs", "placement", "downtimes_s", "decision", "events"),
+    "task": (
+        "task", "taken_at", "spec", "runs", "standbys", "placement", "downtimes_s", "decision", "events",
+    ),
     "validation": ("edge_names", "robot_names", "task_names", "inventory_digest", "tasks_digest"),
     "version": ("edgectl", "python"),
 }  # fmt: skip
@@ -107,6 +109,7 @@ INNER_KEYS: KeysByName = {
         for resource in RESOURCES
     },
     "actions": _ACTION,
+    "carried": ("host", "size_bytes", "sent_bytes", "sha256", "save_s", "transfer_s", "load_s", "age_s"),
     "contributions": ("term", "weight", "here", "there", "adds"),
     "decision": ("action", "reason", "host", "previous_host", "total", "lead"),
     "other_tasks": _OTHER_TASK,
@@ -116,7 +119,7 @@ INNER_KEYS: KeysByName = {
     "events": _EVENT,
     "flips": ("change", "term", "host", "robot", "amount", "unit", "size", "winner", "moves_first"),
     "moves_first": ("task", "host", "amount"),
-    "handoff": ("order", "safe_when", "hold", "release"),
+    "handoff": ("order", "safe_when", "hold", "release", "save", "load", "topic"),
     "history": ("at", "host", *map(get_flat_used_key, RESOURCES)),
     "hosts": ("status", "error", *(resource.name for resource in HOST_RESOURCES)),
     "interfaces": (
@@ -137,14 +140,18 @@ INNER_KEYS: KeysByName = {
     "phases": ("phase", "host", "duration_s", "ok", "detail"),
     "placement": ("host", "placed_at"),
     "latencies": (
-        "p50_ms", "p95_ms", "p99_ms", "low_ms", "high_ms", "service_ms", "load", "waiting_ms", "transfer_ms",
-        "rtt_ms", "elsewhere",
+        "p50_ms", "p95_ms", "p99_ms", "low_ms", "high_ms", "service_ms", "host_load", "waiting_ms",
+        "transfer_ms", "rtt_ms", "elsewhere",
     ),
     "resources": ("declared", "p50", "p95", "max"),
     "robot_counters": (
         "addresses", "counted", "rx_bytes", "tx_bytes", "tcp_bytes", "rx_bytes_per_s", "tx_bytes_per_s",
     ),
     "runs": tuple(dict.fromkeys((*_RUN, *_ABSENT_TASK))),
+    "standbys": (
+        *(*_RUN, "standby", "action", "reason", "total"),
+        *("task", "outcome", "duration_s", "error", "hint"),
+    ),
     "schemes": (
         "scheme", "run_count", "unfinished", "unplaced", "host_names", "figures", "metrics", "maps",
         "reference_figures", "off_by",

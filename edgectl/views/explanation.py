@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 from edgectl.formats.document import Document
 from edgectl.model.assignment import Decision, RejectionRule
 from edgectl.model.explanation import ChangeKind, Explanation, FirstMove, Flip, Tie, TieRule
+from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Step
 from edgectl.model.resource import RESOURCES_BY_NAME
 from edgectl.views.glossary import head, list_shown_weights
@@ -13,6 +14,7 @@ from edgectl.views.output_format import WIDE_FORMATS
 from edgectl.views.plan_sections import format_utility
 from edgectl.views.predicted_latency import encode_latencies, render_latencies
 from edgectl.views.reasons import describe_reason, join_words
+from edgectl.views.standbys import encode_standby_steps, explain_standbys
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns, style_text, wrap_text
 
 _TIE_RULES = {
@@ -34,14 +36,22 @@ _WEIGHT_CHANGES = (ChangeKind.WEIGHT_RISES, ChangeKind.WEIGHT_FALLS)
 class ExplanationView(ItemView):
     """The decision of a task, the contribution of each term, and the changes that would alter it.
 
-    ``unanswered``: notes on the hosts that did not answer, which the decision leaves out.
+    ``unanswered``: notes on the hosts that did not answer, which the decision leaves out. ``manager``: knows
+    how long the task took to become active on each host.
     """
 
     kind = "explanation"
     formats = WIDE_FORMATS
 
-    def __init__(self, step: Step, explanation: Explanation, unanswered: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        step: Step,
+        explanation: Explanation,
+        unanswered: Sequence[str] = (),
+        manager: ManagerState | None = None,
+    ) -> None:
         self._step, self._explanation, self._unanswered = step, explanation, unanswered
+        self._manager = manager
 
     def table(self, look: RenderOptions = PLAIN) -> str:
         """With the smallest changes only."""
@@ -54,7 +64,8 @@ class ExplanationView(ItemView):
     def _render(self, look: RenderOptions, *, every: bool) -> str:
         step, value = self._step, self._explanation
         title = style_text(f"{step.task} -> {value.decision.host or 'nowhere'}", "bold", look)
-        sentences = "".join(wrap_text(line, look) for line in self._list_sentences(every=every))
+        lines = [*self._list_sentences(every=every), *explain_standbys(step, self._manager)]
+        sentences = "".join(wrap_text(line, look) for line in lines)
         parts = (
             title + "\n" + wrap_text(describe_reason(step), look),
             _render_contributions(value, look) if value.contributions else "",
@@ -83,6 +94,7 @@ class ExplanationView(ItemView):
             "host": decision.host,
             "previous_host": decision.previous_host,
             "runner_up": value.runner_up,
+            "standbys": encode_standby_steps(step),
             "total": decision.total,
             "lead": decision.lead,
             "slack": value.slack,

@@ -21,6 +21,7 @@ from edgectl.views.rows import (
     encode_run_row,
     find_task_demand,
 )
+from edgectl.views.standbys import encode_standby_row, list_standby_runs, render_standby_state
 from edgectl.views.state import (
     TASK_STATE_STYLES,
     format_silence,
@@ -156,6 +157,9 @@ def _build_task_items(value: Snapshot, inventory: Inventory, tasks: Tasks) -> It
     order = {name: place for place, name in enumerate([*tasks.tasks, *sorted(seen - tasks.tasks.keys())])}
     items = [_build_running_task_item(run, value, inventory, tasks) for run in runs]
     items += [_build_absent_task_item(task, value) for task in tasks.tasks.values() if task.name not in seen]
+    copies = list_standby_runs(value)
+    items += [_build_standby_item(run, value, tasks) for run in copies]
+    order |= {name: len(order) for name in sorted({name for name, _, _ in copies}) if name not in order}
     yield from sorted(items, key=lambda item: (order[item.aliases[0]], item.path))
 
 
@@ -178,6 +182,22 @@ def _build_running_task_item(
         ),
         told=(host, state.text, restarts, sample.instance, *_format_spec_columns(task)),
         document=encode_run_row(name, host, sample, demand, value) | _encode_spec_columns(task),
+        labels=_collect_task_labels(task),
+    )
+
+
+def _build_standby_item(run: tuple[str, str, TaskSample], value: Snapshot, tasks: Tasks) -> ListingItem:
+    name, host, copy = run
+    task, age = tasks.tasks.get(name), compute_task_age(copy, value)
+    state, restarts = render_standby_state(copy), str(copy.restarts)
+    return ListingItem(
+        path=f"{name} on {host}",
+        name=f"task/{name}",
+        aliases=(name,),
+        row=(Cell(name, "name"), host, state, restarts, "-" if age is None else format_duration(age)),
+        wide_cells=(*_format_spec_columns(task), str(copy.pid or "-"), metrics.format_metrics(copy.metrics)),
+        told=(host, state.text, restarts, copy.instance, *_format_spec_columns(task)),
+        document=encode_standby_row(name, host, copy, {}, value) | _encode_spec_columns(task),
         labels=_collect_task_labels(task),
     )
 

@@ -23,6 +23,7 @@ from edgectl.views.plan_sections import (
     render_plan_summary,
 )
 from edgectl.views.reasons import describe_reason, describe_rejection, is_left_out
+from edgectl.views.standbys import render_standby_rows
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, escape_unprintable, render_columns
 
 # A CI job finds its comment by it, and edits that instead of adding one.
@@ -45,7 +46,9 @@ class PlanView(View):
     def table(self, look: RenderOptions = PLAIN) -> str:
         """The changes with their reasons, the load that is expected afterwards, and a line that counts."""
         steps = self._plan.steps
-        rows = [_STEP_HEAD, *map(_render_step_row, steps)]
+        rows = [_STEP_HEAD]
+        for step in steps:
+            rows += [_render_step_row(step), *render_standby_rows(step, format_utility)]
         return _join_parts(
             render_plan_header(self._plan, look) if self._plan.expected else "",
             render_columns(rows, look, right={4, 5}, wrap={1, 2, 3}) if steps else "",
@@ -88,7 +91,9 @@ class PlanView(View):
 
     def markdown(self) -> str:
         """A comment on a pull request; the expected load and the demands folded away."""
-        rows = "".join(_render_markdown_row(step) for step in self._plan.steps)
+        rows = "".join(
+            _render_markdown_row(step) + _render_markdown_standbys(step) for step in self._plan.steps
+        )
         load = render_expected_load(self._plan).replace("```", "'''")
         demands = render_demands(self._plan).replace("```", "'''")
         folded = _render_folded_section("Expected load", load) + _render_folded_section("Demands", demands)
@@ -147,10 +152,12 @@ def _render_candidate_rows(step: Step, weights: Weights) -> list[Row]:
     )
     rows = [first, *(_render_losing_host_row(ranked, weights) for ranked in others)]
     left_out = ", ".join(f"{count} {rule}" for rule, count in decision.rejection_counts.items())
-    if not left_out:
-        return rows
     blank = [""] * (len(TERMS) + 1)
-    return [*rows, ("", "", Cell("..", "dim"), *blank, Cell(f"not shown: {left_out}", "dim"))]
+    if left_out:
+        rows.append(("", "", Cell("..", "dim"), *blank, Cell(f"not shown: {left_out}", "dim")))
+    for symbol, label, now, then, total, _, reason in render_standby_rows(step, format_utility):
+        rows.append((symbol, label, now if then == "-" else then, *blank[1:], total, reason))
+    return rows
 
 
 def _render_losing_host_row(ranked: RankedHost, weights: Weights) -> Row:
@@ -204,6 +211,16 @@ def _render_markdown_row(step: Step) -> str:
         describe_reason(step),
     )
     return f"| `{step.action.symbol}` | " + " | ".join(escape_markdown(field) for field in fields) + " |\n"
+
+
+def _render_markdown_standbys(step: Step) -> str:
+    """The copies of a task, below its row."""
+    lines = []
+    for symbol, *cells in render_standby_rows(step, format_utility):
+        texts = (cell.text if isinstance(cell, Cell) else cell for cell in cells)
+        mark = symbol.text if isinstance(symbol, Cell) else symbol
+        lines.append(f"| `{mark}` | " + " | ".join(escape_markdown(text) for text in texts) + " |\n")
+    return "".join(lines)
 
 
 def escape_markdown(text: str) -> str:

@@ -22,6 +22,7 @@ from edgectl.units import format_instant, format_rate
 from edgectl.views.demands import list_demand_notes
 from edgectl.views.glossary import head_of_resource, list_shown_weights
 from edgectl.views.reasons import describe_reason, is_left_out, is_not_found, join_first_words, join_words
+from edgectl.views.standbys import count_standby_actions
 from edgectl.views.state import format_silence
 from edgectl.views.text import (
     PLAIN,
@@ -298,8 +299,10 @@ def render_plan_summary(value: Plan, look: RenderOptions = PLAIN) -> str:
     counts = value.summary
     aside = sum(is_left_out(step) for step in value.steps)
     missing = sum(is_not_found(step) for step in value.steps)
+    copies = any(each.host is None for step in value.steps for each in step.standbys)
     if (
-        not value.changes
+        not copies
+        and not value.changes
         and not aside
         and not missing
         and not counts.get(Action.UNPLACED)
@@ -315,6 +318,7 @@ def render_plan_summary(value: Plan, look: RenderOptions = PLAIN) -> str:
     extra = [f"{rare[action]} {word}" for action, word in _RARE_ACTION_TEXTS.items() if rare.get(action)]
     extra += [f"{missing} not managed and found nowhere"] if missing else []
     extra += [f"{aside} left out"] if aside else []
+    extra += count_standby_actions(value)
     return (
         style_text(wrap_text(", ".join([text, *extra]) + ".", look).removesuffix("\n"), "bold", look) + "\n"
     )

@@ -25,7 +25,7 @@ def describe_latency(predicted: PredictedLatency, deadline_ms: float | None) -> 
     """``51 ms at p95 of 100 ms (p50 45, p99 60): 31 ms service at 60% load, 12 ms transfer, 4 ms rtt``."""
     bound = "" if deadline_ms is None else f" of {deadline_ms:.0f} ms"
     waiting = f" + {predicted.waiting_ms:.0f} ms waiting" if predicted.waiting_ms >= 0.5 else ""
-    parts = [f"{predicted.service_ms:.0f} ms service{waiting} at {predicted.load:.0%} load"]
+    parts = [f"{predicted.service_ms:.0f} ms service{waiting} at {predicted.host_load:.0%} load"]
     if predicted.transfer_ms or predicted.rtt_ms:
         parts += [f"{predicted.transfer_ms:.0f} ms transfer", f"{predicted.rtt_ms:.0f} ms rtt"]
     elsewhere = "; service time of another class of hosts" if predicted.elsewhere else ""

@@ -227,6 +227,7 @@ _REASON_DESCRIBERS: dict[Reason, Callable[[Step], str]] = {
     Reason.BELOW_MARGIN: _describe_below_margin,
     Reason.GAIN_OVER_COST: _describe_gain_over_cost,
     Reason.COST_ABOVE_GAIN: _describe_cost_above_gain,
+    Reason.STANDBY_ACTIVATED: lambda step: f"its standby on {step.decision.host} becomes active",
     Reason.REPLACED: _describe_replaced,
     Reason.DWELL: _describe_dwell,
     Reason.MAX_MOVES: _describe_max_moves,

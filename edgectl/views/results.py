@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 
 from edgectl.formats.document import Document, without_none
-from edgectl.model.result import ActionResult, Outcome, PhaseResult, Results
+from edgectl.model.result import ActionResult, CarriedState, Outcome, PhaseResult, Results, StandbyResult
 from edgectl.units import format_duration
 from edgectl.views.output import ItemView
 from edgectl.views.output_format import NAMED_FORMATS
@@ -85,9 +85,10 @@ def render_results(value: Results, look: RenderOptions) -> str:
     stopped = " Interrupted." if value.interrupted else ""
     return (
         render_actions(value.actions, look)
+        + render_columns([_render_standby_row(copy) for copy in value.standbys], look)
         + style_text(text + stopped, "bold" if value.done else "bad", look)
         + "\n"
-        + _render_hints(value.actions)
+        + _render_hints((*value.actions, *value.standbys))
     )
 
 
@@ -102,6 +103,16 @@ def _render_action_row(action: ActionResult) -> Row:
         Cell(action.task, "name"),
         Cell(action.outcome.value, _OUTCOME_STYLES[action.outcome]),
         format_action_result(action),
+    )
+
+
+def _render_standby_row(copy: StandbyResult) -> Row:
+    took = f" {format_duration(copy.seconds)}" if copy.seconds else ""
+    return (
+        Cell(" "),
+        Cell(copy.task, "name"),
+        Cell(copy.outcome.value, _OUTCOME_STYLES[copy.outcome]),
+        f"{copy.action} standby on {copy.host}{took}" + (f"; {copy.error}" if copy.error else ""),
     )
 
 
@@ -128,7 +139,7 @@ def _format_phase_result(phase: PhaseResult) -> str:
     )
 
 
-def _render_hints(actions: Iterable[ActionResult]) -> str:
+def _render_hints(actions: Iterable[ActionResult | StandbyResult]) -> str:
     """The hints of the actions that failed, each once."""
     hints = dict.fromkeys(action.hint for action in actions if action.hint)
     return "".join(f"hint: {escape_unprintable(hint)}\n" for hint in hints)
@@ -141,7 +152,19 @@ def _encode_results(value: Results) -> Document:
         "done": value.done,
         "interrupted": value.interrupted,
         "actions": [encode_action_result(action) for action in value.actions],
+        "standbys": [_encode_standby_result(copy) for copy in value.standbys],
     }
+
+
+def _encode_standby_result(copy: StandbyResult) -> Document:
+    document: Document = {
+        "task": copy.task,
+        "host": copy.host,
+        "action": copy.action.value,
+        "outcome": copy.outcome.value,
+        "duration_s": copy.seconds,
+    }
+    return document | without_none(error=copy.error or None, hint=copy.hint or None)
 
 
 def encode_action_result(action: ActionResult) -> Document:
@@ -155,9 +178,23 @@ def encode_action_result(action: ActionResult) -> Document:
         "located": action.located,
         "downtime_s": action.downtime_s,
         "gap_s": action.gap_s,
+        **({} if action.state is None else {"carried": _encode_carried_state(action.state)}),
         "phases": [_encode_phase_result(phase) for phase in action.phases],
     }
     return document | without_none(error=action.error or None, hint=action.hint or None)
+
+
+def _encode_carried_state(state: CarriedState) -> Document:
+    return {
+        "host": state.host or None,
+        "size_bytes": state.size_bytes,
+        "sent_bytes": state.sent_bytes,
+        "sha256": state.sha256,
+        "save_s": state.save_s,
+        "transfer_s": state.transfer_s,
+        "load_s": state.load_s,
+        "age_s": state.age_s,
+    }
 
 
 def _encode_phase_result(phase: PhaseResult) -> Document:

@@ -30,6 +30,13 @@ from edgectl.views.rows import (
     find_task_demand,
     list_task_runs,
 )
+from edgectl.views.standbys import (
+    describe_standby_fault,
+    encode_standby_row,
+    list_standby_faults,
+    list_standby_runs,
+    render_standby_state,
+)
 from edgectl.views.state import (
     TASK_STATE_STYLES,
     describe_attention,
@@ -90,21 +97,38 @@ class StatusView(ListView):
 
     def wide(self, look: RenderOptions = PLAIN) -> str:
         """The same with the ROS nodes of each task, as far as they are known."""
-        first, *rows = self._list_rows()
+        rows = self._list_named_rows()
         if not rows:
             return ""
-        names = [name for name, _, _ in list_task_runs(self._snapshot)]
-        names += [task.name for task in self._absent_tasks()]
-        wider: list[Row] = [(*first, *head("node_names"))]
-        wider += [
-            (*row, ", ".join(self._list_nodes(name)) or "-") for name, row in zip(names, rows, strict=True)
-        ]
+        wider: list[Row] = [(*_HEAD, *head("node_names"))]
+        wider += [(*row, ", ".join(self._list_nodes(name)) or "-") for name, row in rows]
         return self._render(wider, look, right=set(range(3, len(_HEAD))))
 
     def _list_rows(self) -> list[Row]:
         """The heading, then the rows."""
-        rows: list[Row] = [_HEAD, *map(self._render_run_row, list_task_runs(self._snapshot))]
-        return rows + [_render_absent_row(task, self._snapshot) for task in self._absent_tasks()]
+        return [_HEAD, *(row for _, row in self._list_named_rows())]
+
+    def _list_named_rows(self) -> list[tuple[str, Row]]:
+        """Each row with the name of its task: what runs, then what does not, each with its copies below."""
+        copies: dict[str, list[Row]] = {}
+        for run in list_standby_runs(self._snapshot):
+            copies.setdefault(run[0], []).append(self._render_standby_row(run))
+        rows = [(run[0], self._render_run_row(run)) for run in list_task_runs(self._snapshot)]
+        rows += [(task.name, _render_absent_row(task, self._snapshot)) for task in self._absent_tasks()]
+        last = {name: place for place, (name, _) in enumerate(rows)}
+        found: list[tuple[str, Row]] = []
+        for place, (name, row) in enumerate(rows):
+            found.append((name, row))
+            if last[name] == place:
+                found += [(name, copy) for copy in copies.pop(name, ())]
+        return found + [(name, copy) for name, left in copies.items() for copy in left]
+
+    def _render_standby_row(self, run: tuple[str, str, TaskSample]) -> Row:
+        name, host, copy = run
+        age = compute_task_age(copy, self._snapshot)
+        usage = _render_usage_cells(copy, {})
+        state = render_standby_state(copy)
+        return (Cell(name, "name"), host, state, format_or_dash(age, format_duration), *usage)
 
     def _list_nodes(self, name: str) -> tuple[str, ...]:
         task = self._tasks.tasks.get(name)
@@ -123,6 +147,9 @@ class StatusView(ListView):
             first.append(
                 f"{len(unhealthy)} of {len(self._tasks.tasks)} tasks unhealthy: {', '.join(unhealthy)}"
             )
+        standbys = list_standby_faults(self._tasks, self._snapshot)
+        if standbys:
+            first.append(f"not ready as standby: {', '.join(standbys)}")
         first += [
             f"{task} on {host} is cut off from {robot}: the link is down, and both answer edgectl"
             for task, host, robot in list_cut_off_tasks(self._tasks, self._snapshot)
@@ -193,7 +220,12 @@ class StatusView(ListView):
             | {"attention": _describe_absence(task, self._snapshot)}
             for task in self._absent_tasks()
         ]
-        return [*runs, *absent]
+        copies = [
+            encode_standby_row(name, host, copy, {}, self._snapshot)
+            | {"attention": describe_standby_fault(copy) or None}
+            for name, host, copy in list_standby_runs(self._snapshot)
+        ]
+        return [*runs, *absent, *copies]
 
     def _encode_nodes(self, name: str) -> Document:
         nodes = self._list_nodes(name)

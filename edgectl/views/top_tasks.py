@@ -17,6 +17,7 @@ from edgectl.views.output import ListView
 from edgectl.views.output_format import WIDE_FORMATS
 from edgectl.views.plan_sections import list_snapshot_notes
 from edgectl.views.rows import compute_task_age, encode_run_row, find_task_demand
+from edgectl.views.standbys import encode_standby_row, list_standby_runs, render_standby_state
 from edgectl.views.state import TASK_STATE_STYLES, resolve_absent_task
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
 from edgectl.views.usage import (
@@ -70,7 +71,7 @@ class TopTasksView(ListView):
 
     def _render(self, look: RenderOptions, *, wide: bool) -> str:
         runs = _list_running_tasks(self._snapshot)
-        if not runs:
+        if not runs and not _list_living_copies(self._snapshot):
             return ""
         rows: list[Row] = [(*_TASK_HEAD, *_WIDE_TASK_HEAD) if wide else _TASK_HEAD]
         histories: list[tuple[Sequence[float | None], float]] = []
@@ -80,6 +81,9 @@ class TopTasksView(ListView):
             rows.append(_render_top_task_row(name, host, sample, task, demand, self._snapshot, wide=wide))
             used = [point.used[CPU.name] for point in self._points.get(name, ())]
             histories.append((used, max([demand.get(CPU.name) or 0.0, *used])))
+        for name, host, copy in _list_living_copies(self._snapshot):
+            rows.append(_render_copy_row(name, host, copy, self._snapshot, wide=wide))
+            histories.append(((), 0.0))
         right = _RIGHT_COLUMNS | _WIDE_RIGHT_COLUMNS if wide else _RIGHT_COLUMNS
         body = render_with_sparklines(rows, histories, look, right=right)
         measured = latency.render_latency_rows(runs)
@@ -117,6 +121,9 @@ class TopTasksView(ListView):
             encode_run_row(name, host, sample, self._find_demand(name, host), self._snapshot)
             | {"history": list(map(_encode_task_point, self._points.get(name, ())))}
             for name, host, sample in _list_running_tasks(self._snapshot)
+        ] + [
+            encode_standby_row(name, host, copy, {}, self._snapshot) | {"history": []}
+            for name, host, copy in _list_living_copies(self._snapshot)
         ]
 
     def warnings(self) -> Sequence[str]:
@@ -152,6 +159,11 @@ def render_task_rows_of_host(value: Snapshot, inventory: Inventory, tasks: Tasks
         for name, host, sample in _list_running_tasks(value)
         if host == on
     ]
+    rows += [
+        _render_copy_row(name, host, copy, value, wide=False)
+        for name, host, copy in _list_living_copies(value)
+        if host == on
+    ]
     return [(row[0], *row[2:]) for row in (_TASK_HEAD, *rows)] if rows else []
 
 
@@ -163,6 +175,17 @@ def _list_running_tasks(value: Snapshot) -> list[tuple[str, str, TaskSample]]:
         if sample.state.alive
     )
     return sorted(runs, key=lambda run: (natural_key(run[0]), natural_key(run[1])))
+
+
+def _list_living_copies(value: Snapshot) -> list[tuple[str, str, TaskSample]]:
+    return [run for run in list_standby_runs(value) if run[2].state.alive]
+
+
+def _render_copy_row(name: str, host: str, copy: TaskSample, value: Snapshot, *, wide: bool) -> Row:
+    """An inactive copy: what it uses, and ``standby`` in place of its readiness."""
+    row = _render_top_task_row(name, host, copy, None, {}, value, wide=wide)
+    place = len(_TASK_HEAD) - 1
+    return (*row[:place], render_standby_state(copy), *row[place + 1 :])
 
 
 def _render_top_task_row(

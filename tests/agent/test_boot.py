@@ -121,7 +121,7 @@ def test_runs_from_memory_where_nothing_can_be_kept(host: AgentHost, tmp_path: P
         "words = sys.stdin.buffer.readline().decode().split()\n"
         "boot.boot_agent(sys.stdin.buffer, words, ['/proc/nowhere', '/proc/nowhere-else'], {})\n"
     )
-    packet = protocol._build_packet(
+    packet = protocol.build_packet(
         {"op": "probe", "fleet": "lab", "host": "edge1", "window_s": 0.05},
         "m" * 32,
         10.0,

@@ -1,6 +1,7 @@
 """The protocol between manager and agent: name rules in both forms, states, operations, keys."""
 
 import re
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -12,9 +13,11 @@ from edgectl.executor import host_requests as requests
 from edgectl.gateway.probe_request import build_probe_request
 from edgectl.model.check import Check
 from edgectl.model.snapshot import TaskState
+from edgectl.model.standby import Activation, StandbyRule, StateRule
 from tests.agent.conftest import AgentHost
 from tests.builders import a_robot, a_task, an_edge, an_inventory, some_tasks
 
+STATE = StateRule(save=Check(command="true"), load=Check(command="true"))
 OPERATIONS = sorted(value for name, value in vars(protocol).items() if name.startswith("OP_"))
 NAMES = st.text("aZ09_.:/-\0\n \u00e9", max_size=5) | st.integers(60, 66).map(lambda length: "a" * length)
 
@@ -39,7 +42,7 @@ def test_every_reported_state_is_one_of_the_model() -> None:
     assert {state for state in TaskState if state.alive} == set(protocol.ALIVE_STATES)
 
 
-@pytest.mark.parametrize("operation", [name for name in OPERATIONS if name != protocol.OP_FOLLOW])
+@pytest.mark.parametrize("operation", sorted({*OPERATIONS} - {protocol.OP_FOLLOW, protocol.OP_READ_STATE}))
 def test_every_operation_is_found(operation: str) -> None:
     assert callable(main._find_operation(operation))
 
@@ -60,6 +63,8 @@ def test_requests_of_the_manager_have_the_stated_keys() -> None:
         requests.build_leaving_request("slam", edge, instance="i", seconds=1.0),
         requests.build_check_request(task, Check(command="true"), edge, fleet.hosts),
         requests.build_status_request(edge),
+        requests.build_activate_request(task, edge, fleet.hosts, instance="i", await_go_s=5.0),
+        requests.build_deactivate_request(task, edge, fleet.hosts, instance="i"),
         build_probe_request(
             edge, fleet, some_tasks(task), {"robot1": "127.0.0.1"}, window_s=0.5, timeout_s=10.0
         ),
@@ -69,6 +74,12 @@ def test_requests_of_the_manager_have_the_stated_keys() -> None:
     spec = sent[0]["spec"]
     assert isinstance(spec, dict)
     assert set(spec) == set(protocol.SPEC_KEYS)
+    rule = StandbyRule(activation=Activation(activate=Check(command="a"), deactivate=Check(command="d")))
+    sent_rule = requests.build_start_request(replace(task, standby=rule), edge, fleet.hosts, role="standby")
+    spec = sent_rule["spec"]
+    assert isinstance(spec, dict)
+    assert set(spec["activation"]) == set(protocol.ACTIVATION_KEYS)
+    assert (sent_rule["role"], sent[0]["role"]) == ("standby", "active")
 
 
 def test_replies_of_the_agent_have_the_stated_keys(host: AgentHost) -> None:

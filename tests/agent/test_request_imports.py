@@ -22,12 +22,12 @@ LEASE = {"holder": "ana", "session": "s1", "epoch": 1}
 ALWAYS = {"os", "stat", "_stat", "posixpath", "genericpath", "_collections_abc", "gc"}
 ALWAYS |= {"_blake2", "_sha256", "_sha2", "_json", "zlib", "fcntl"}
 REQUESTS: dict[str, tuple[dict[str, Any], set[str], int]] = {
-    "status": ({"task": None}, set(), 16),
-    "logs": ({"task": "slam", "tail": 10}, {"select"}, 18),
+    "status": ({"task": None}, set(), 17),
+    "logs": ({"task": "slam", "tail": 10}, {"select"}, 19),
     "lease": ({"action": "renew", "lease": LEASE}, set(), 16),
-    "stop": ({"task": "slam", "instance": None, "generation": None, "stop": None}, set(), 24),
-    "wait": ({"task": "slam", "instance": "i1", "timeout_s": 0.0}, set(), 16),
-    "probe": ({"window_s": 0.0, "links": LINKS}, {"_socket", "_struct", "select", "errno"}, 30),
+    "stop": ({"task": "slam", "instance": None, "generation": None, "stop": None}, set(), 25),
+    "wait": ({"task": "slam", "instance": "i1", "timeout_s": 0.0}, set(), 17),
+    "probe": ({"window_s": 0.0, "links": LINKS}, {"_socket", "_struct", "select", "errno"}, 31),
     "start": (
         {
             "task": "done",
@@ -36,7 +36,7 @@ REQUESTS: dict[str, tuple[dict[str, Any], set[str], int]] = {
             "spec": a_spec("exec sleep 600", runtime="process"),
         },
         {"select"},
-        35,
+        37,
     ),
 }
 

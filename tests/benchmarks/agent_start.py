@@ -36,7 +36,7 @@ _PR_SET_CHILD_SUBREAPER = 36
 
 
 def build_packet(request: Mapping[str, object], agent: bytes = b"") -> bytes:
-    return agent_client._build_packet({"fleet": "lab", "host": "edge1", **request}, "m" * 32, 60.0, agent)
+    return agent_client.build_packet({"fleet": "lab", "host": "edge1", **request}, "m" * 32, 60.0, agent)
 
 
 def measure_cpu_s(argv: list[str], data: bytes, environment: Mapping[str, str]) -> tuple[float, float, bytes]:

@@ -120,6 +120,48 @@ CASES = [
         message="onboard: only needs exactly one robot, and map-merge has 2", hint="or onboard: allow", mended="    onboard: allow"),
     BrokenFile(name="onboard where nothing runs", old="onboard: allow", new="onboard: only", at="only", code="EC033",
         message="onboard: only, but robot2 runs no tasks", hint="onboard: allow here", mended="onboard: allow"),
+    *(
+        BrokenFile(name=f"standby, {name}", old="    demand: {cpu: 35.2%, memory: 2.5%, throughput: 2.5%}\n", new=f"    standby: {new}\n    demand: {{cpu: 35.2%, memory: 2.5%, throughput: 2.5%}}\n", at=at, code=code,
+            message=message, hint=hint, mended=f"    standby: {mended}\n    demand: {{cpu: 35.2%, memory: 2.5%, throughput: 2.5%}}\n")
+        for name, new, at, code, message, hint, mended in [
+            ("unknown word", "hot", "hot\n", "EC013", "standby: hot does not say how a copy becomes active", "activate: COMMAND", "{ros_lifecycle: /nav}"),
+            ("half a pair", "{activate: wake}", "{activate: wake}", "EC011", "standby needs deactivate", "deactivate: COMMAND", "{activate: wake, deactivate: sleep}"),
+            ("nothing", "{}", "{}\n    demand", "EC011", "standby needs activate and deactivate", "or ros_lifecycle: /NODE", "none"),
+            ("both ways", "{activate: wake, deactivate: x, ros_lifecycle: /n}", "activate: wake", "EC033", "activate and ros_lifecycle do not go together", "remove activate", "{ros_lifecycle: /n}"),
+            ("no host", "{ros_lifecycle: /n, warm: {hosts: 0}}", "0}}", "EC015", "1", "1", "{ros_lifecycle: /n, warm: {hosts: 1}}"),
+            ("too many hosts", "{ros_lifecycle: /n, warm: {hosts: 9}}", "9}}", "EC015", "8", "8", "{ros_lifecycle: /n, warm: {hosts: 8}}"),
+            ("warm as a number", "{ros_lifecycle: /n, warm: 2}", "2}\n", "EC010", "warm", "", "{ros_lifecycle: /n, warm: {hosts: 2}}"),
+            ("unknown key", "{ros_lifecycle: /n, memry: 4Mi}", "memry", "EC012", "unknown key memry", "did you mean memory?", "{ros_lifecycle: /n, memory: 4Mi}"),
+            ("measured memory", "{ros_lifecycle: /n, memory: measured}", "measured}", "EC015", "cannot be read as a quantity", "write", "{ros_lifecycle: /n, memory: 4Mi}"),
+            ("on the robot", "{activate: {command: a, on: robot}, deactivate: b}", "on: robot}, dea", "EC033", "activate runs on the host of the instance", "remove on: robot", "{activate: a, deactivate: b}"),
+            ("ready on the robot", "{ros_lifecycle: /n, ready: {command: a, on: robot}}", "on: robot}}", "EC033", "ready runs on the host of the instance", "remove on: robot", "{ros_lifecycle: /n, ready: a}"),
+            ("no name of a node", "{ros_lifecycle: 'a b'}", "'a b'", "EC019", "is no name in the ROS graph", "write a name such as", "{ros_lifecycle: /a}"),
+            ("empty command", "{activate: '', deactivate: b}", "'', dea", "EC019", "must not be empty", "write a value", "{activate: a, deactivate: b}"),
+        ]
+    ),
+    *(
+        BrokenFile(name=f"standby and {name}", old=old, new=new, at="standby", code="EC033", message=message, hint=hint, mended=mended)
+        for name, old, new, message, hint, mended in [
+            ("a job", "    kind: job\n", "    kind: job\n    standby: {ros_lifecycle: /m}\n", "a job has no standby", "remove standby, or kind: job", "    kind: job\n"),
+            ("onboard alone", "    robot: robot1\n    managed: false\n    detect: {cmdline: \"pose_node\"}\n", "    robot: robot1\n    command: x\n    onboard: only\n    standby: {ros_lifecycle: /m}\n", "standby and onboard: only do not go together", "remove standby", "    robot: robot1\n    command: x\n    standby: {ros_lifecycle: /m}\n"),
+            ("one host", "    hosts: {never: [edge3], labels: {gpu: maxwell}}\n", "    hosts: {pin: edge1}\n    standby: {ros_lifecycle: /m}\n", "standby of navigation-robot1 needs a second host, and only edge1 may run it", "allow another host", "    hosts: {never: [edge3]}\n    standby: {ros_lifecycle: /m}\n"),
+            ("together", "    needs: [slam]\n", "    together: [slam]\n    standby: {ros_lifecycle: /m}\n", "which is together with slam-robot1", "or the together that joins them", "    needs: [slam]\n"),
+            ("start-first", "    stop: ros\n", "    handoff: {order: start-first}\n    standby: {ros_lifecycle: /m}\n", "two instances are never active at once", "remove standby, or order: start-first", "    stop: ros\n"),
+            ("unmanaged", "    managed: false\n", "    managed: false\n    standby: {ros_lifecycle: /m}\n", "standby is for moves", "remove standby", "    managed: false\n"),
+        ]
+    ),
+    *(
+        BrokenFile(name=f"state, {name}", old="    demand: {cpu: 35.2%, memory: 2.5%, throughput: 2.5%}\n", new=f"    state: {new}\n    demand: {{cpu: 35.2%, memory: 2.5%, throughput: 2.5%}}\n", at=at, code=code,
+            message=message, hint=hint, mended=f"    state: {mended}\n    demand: {{cpu: 35.2%, memory: 2.5%, throughput: 2.5%}}\n")
+        for name, new, at, code, message, hint, mended in [
+            ("half a pair", "{save: a}", "{save: a}", "EC011", "state needs save and load, or topic", "load: COMMAND", "{save: a, load: b}"),
+            ("both ways", "{save: a, load: b, topic: /map}", "save: a", "EC033", "save and topic do not go together", "remove save or topic", "{topic: /map}"),
+            ("a word", "all", "all\n    demand", "EC010", "state", "", "{topic: /map}"),
+            ("on the robot", "{save: {command: a, on: robot}, load: b}", "on: robot}, load", "EC033", "save runs on the host of the instance", "remove on: robot", "{save: a, load: b}"),
+            ("no size", "{topic: /map, max_size: 0}", "0}\n", "EC015", "must be above 0", "write a quantity above 0", "{topic: /map, max_size: 1Mi}"),
+            ("unknown moment", "{save: a, load: b, save_when: activ}", "activ}", "EC013", "unknown word 'activ'", "did you mean active?", "{save: a, load: b, save_when: active}"),
+        ]
+    ),
     BrokenFile(name="regular expression", old='cmdline: "pose_node"', new='cmdline: "pose(node"', at='"pose(node"', code="EC017",
         message="not a regular expression: missing ), unterminated subpattern", hint=r"'pose\(node'", mended=r"cmdline: 'pose\(node'"),
     BrokenFile(name="detect of two", old='cmdline: "pose_node"', new='cmdline: "pose", ros_node: /pose', at='{cmdline: "pose"', code="EC033",

@@ -17,6 +17,7 @@ from edgectl.config import (
     job_readers,
     latency_readers,
     ros_settings,
+    standby_readers,
     task_file,
     task_readers,
 )
@@ -60,6 +61,8 @@ TABLES: Mapping[str, tuple[Mapping[str, object], ...]] = {
     "### Stop": (task_readers.STOP_KEYS,),
     "### Secrets": (config_fields.SECRET_KEYS,),
     "### Handoff": (task_readers.HANDOFF_KEYS,),
+    "### Standby": (standby_readers.STANDBY_KEYS,),
+    "### State of a task": (standby_readers.STATE_KEYS,),
     "### Limits of a task": (task_readers.TASK_LIMITS_KEYS,),
     "### Log": (task_readers.LOG_KEYS,),
     "### Unreachable hosts": (task_readers.ON_UNREACHABLE_KEYS,),
@@ -116,7 +119,7 @@ def test_readers_cover_the_model() -> None:
 def test_keys_of_a_snapshot_are_complete() -> None:
     everything = TaskSample(
         state=TaskState.FAILED, links={}, instance="i", spec_hash="s", generation=1, managed=False, restarts=1, exit_code=1, detail="d",
-        fields={"command": "c"}, last_exit=1, log_tail=("l",), limits="l", given_up=True, metrics={"fps": 29.5}, ended_at=1.0, file="f", orphaned=True, adoptable=True, needed="a1b2c3", nodes={"/slam": "http://edge1:1"}, partial="udp unseen", latency=LatencySample(count=1),
+        fields={"command": "c"}, last_exit=1, log_tail=("l",), limits="l", given_up=True, metrics={"fps": 29.5}, ended_at=1.0, file="f", orphaned=True, adoptable=True, needed="a1b2c3", nodes={"/slam": "http://edge1:1"}, partial="udp unseen", latency=LatencySample(count=1), switching=True,
     )  # fmt: skip
     device = DeviceSample(
         load_1m=1.0,
@@ -136,6 +139,7 @@ def test_keys_of_a_snapshot_are_complete() -> None:
         hint="h",
         usage=host.usage,
         tasks={"t": everything},
+        standbys={"t": everything},
         generations={"t": 2},
         other_tasks=(other,),
         foreign_tasks=(other,),

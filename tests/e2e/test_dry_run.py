@@ -12,7 +12,7 @@ from edgectl.model.check import Check, CheckLocation
 from edgectl.model.inventory import Host
 from edgectl.model.plan import Plan
 from edgectl.model.task import HandoffContract, HandoffOrder
-from edgectl.transport.base import Reply, Session, Transport
+from edgectl.transport.base import Exchange, Reply, Session, Transport
 from edgectl.transport.fake import unpack_request
 from edgectl.usecases.apply import ApplyOptions, plan_and_apply
 from tests.builders import a_robot, an_edge, an_inventory
@@ -56,6 +56,10 @@ class RecordingSession:
 
     def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:
         yield from self.session.stream(command, stdin, idle_timeout=idle_timeout)
+
+    def exchange(self, command: str, stdin: bytes, *, timeout: float) -> Exchange:
+        self.requests.append((self.host, unpack_request(stdin)[1]))
+        return self.session.exchange(command, stdin, timeout=timeout)
 
     def close(self) -> None:
         self.session.close()

@@ -85,24 +85,45 @@ class FakeHost:
         name = str(request["task"])
         self._fence(request)
         running = self.tasks.get(name)
-        if running and running["instance"] == request["instance"]:
+        if running and (running["instance"] == request["instance"] or running.get("role")):
             return {**running, "state": "already-running"}
         if running and running["pid"]:
             raise RefusedError(f"{name} runs already")
-        self.world.note(f"start {name} {self.name}")
-        self.world.begins(name, self.name)
         spec = request["spec"]
         assert isinstance(spec, dict)
-        state = "running" if spec["ready"] is None else "starting"
+        role = str(request["role"]) if spec["activation"] else ""
+        self.world.note(f"start {name} {self.name}" if role != "standby" else f"copy {name} {self.name}")
+        if role != "standby":
+            self.world.begins(name, self.name)
+        state = "running" if spec["ready"] is None and role != "standby" else "starting"
         entry = {
             "state": state,
             "pid": 100,
             "instance": request["instance"],
             "generation": request["generation"],
             "spec_hash": spec["spec_hash"],
+            "role": role,
+            "switching": False,
         }
         self.tasks[name] = entry
         return {**entry, "state": "started"}
+
+    def _activate(self, request: Request) -> Request:
+        return self._switch(request, "active")
+
+    def _deactivate(self, request: Request) -> Request:
+        return self._switch(request, "standby")
+
+    def _switch(self, request: Request, role: str) -> Request:
+        name = str(request["task"])
+        self._fence(request)
+        running = self.tasks.get(name)
+        if running is None or running["instance"] != request["instance"]:
+            raise RefusedError(f"{name} is not running here")
+        self.world.note(f"{request['op']} {name} {self.name}")
+        self.world.begins(name, self.name) if role == "active" else self.world.ends(name, self.name)
+        running |= {"role": role, "generation": request["generation"]}
+        return {"state": role, "role": role, "switching": False, "instance": running["instance"]}
 
     def _adopt(self, request: Request) -> Request:
         self.former = list(request["former"])  # type: ignore[call-overload]
@@ -198,7 +219,19 @@ class FakeHost:
             **({"lease": {"state": "granted", "epoch": 1}} if "lease" in request else {}),
         }
 
-    def runs(self, name: str, *, spec_hash: str = "", instance: str = "old", state: str = "running") -> None:
+    def waits(self, name: str, *, instance: str = "copy") -> None:
+        """Put an inactive copy of a task on the host as if it had been started before."""
+        self.runs(name, instance=instance, role="standby")
+
+    def runs(
+        self,
+        name: str,
+        *,
+        spec_hash: str = "",
+        instance: str = "old",
+        state: str = "running",
+        role: str = "",
+    ) -> None:
         """Put a task on the host as if it had been started before."""
         self.tasks[name] = {
             "state": state,
@@ -206,8 +239,11 @@ class FakeHost:
             "instance": instance,
             "generation": 1,
             "spec_hash": spec_hash or f"hash-{name}",
+            "role": role,
+            "switching": False,
         }
-        self.world.begins(name, self.name)
+        if role != "standby":
+            self.world.begins(name, self.name)
 
 
 class _Reachable(UserDict[str, Handler | HostError]):

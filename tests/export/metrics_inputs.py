@@ -73,7 +73,8 @@ def a_metrics_input(*revisions: Revision) -> MetricsInput:
         done={"job": "hash-job"},
         contact={"edge1": NOW, "edge2": NOW - 60.0},
     )
-    snapshot = a_snapshot(memory=memory, edge1=edge, edge2=silent(), edge3=a_sample(links={"robot1": LINK}))
+    idle = a_sample(links={"robot1": LINK}, standbys={"slam": a_run(spec_hash="hash-slam")})
+    snapshot = a_snapshot(memory=memory, edge1=edge, edge2=silent(), edge3=idle)
     plan = plan_from_assignment(
         inventory,
         tasks,

@@ -10,6 +10,7 @@ from tests.faults import (
     faults_noise,
     faults_ownership,
     faults_random,
+    faults_standby,
     faults_task,
     faults_two_managers,
 )
@@ -27,6 +28,7 @@ MODULES = (
     faults_task,
     faults_noise,
     faults_failpoints,
+    faults_standby,
     faults_random,
 )
 

@@ -69,7 +69,7 @@ def install_programs(directory: Path) -> None:
     """Install the oracle's programs and record directory on a host."""
     (directory / "records").mkdir(parents=True)
     (directory / "records").chmod(0o777)
-    for program in ("recording_task.py", "bystander.py"):
+    for program in ("recording_task.py", "standby_task.py", "bystander.py"):
         shutil.copy(HERE / program, directory / program)
         (directory / program).chmod(0o644)
 

@@ -47,6 +47,7 @@ from edgectl.model.snapshot import (
     TaskState,
     TrafficSource,
 )
+from edgectl.model.standby_plan import StandbyAction, StandbyReason, StandbyStep
 
 LINK = LinkSample(
     capacity_bytes_per_s=1.0,
@@ -65,7 +66,7 @@ LATENCY = LatencySample(
 TASK = TaskSample(
     state=TaskState.FAILED, pid=1, started_at=2.0, used=Usage(cpu=3.0, memory=4.0, network=5.0), links={"r": 6.0}, instance="i",
     spec_hash="s", generation=7, managed=False, restarts=8, exit_code=-9, detail="d",
-    fields={"command": "c"}, last_exit=3, log_tail=("l",), limits="enforced", given_up=True, metrics={"fps": 29.5}, ended_at=2.5, file="f", orphaned=True, adoptable=True, needed="a1b2c3", nodes={"/slam": "http://edge1:1"}, partial="udp unseen", latency=LATENCY,
+    fields={"command": "c"}, last_exit=3, log_tail=("l",), limits="enforced", given_up=True, metrics={"fps": 29.5}, ended_at=2.5, file="f", orphaned=True, adoptable=True, needed="a1b2c3", nodes={"/slam": "http://edge1:1"}, partial="udp unseen", latency=LATENCY, switching=True,
 )  # fmt: skip
 INTERFACE = InterfaceSample(
     rx_bytes_per_s=1.0, tx_bytes_per_s=2.0, speed_bytes_per_s=3.0, level_dbm=-61.0, retries_per_s=4.0, access_point="a", joined_s=5.0,
@@ -84,7 +85,7 @@ OTHER = OtherTask(
 )  # fmt: skip
 HOST = HostSample(
     role=Role.ROBOT, status=HostStatus.UNREACHABLE, error="e", error_kind="k", hint="h", sample_age_s=1.5, resident=True, usage={"cpu": CPU_USE, "memory": MEMORY_USE},
-    links={"r": LINK}, tasks={"t": TASK}, device=DEVICE, generations={"t": 9},
+    links={"r": LINK}, tasks={"t": TASK}, standbys={"s": TASK}, device=DEVICE, generations={"t": 9},
     other_tasks=(OTHER,), foreign_tasks=(OTHER,), address="a", machine="m", grant=4, foreign_grant=3, foreign_hosts=("x",), counters="installed",
 )  # fmt: skip
 PLACEMENT = Placement(
@@ -140,7 +141,7 @@ CERTIFICATE = Certificate(
 )
 UNEVEN = DemandSpread(task="t", resource=MEMORY, share=0.25, least=1.5, most=3.0, hosts=("a", "b"))
 PREDICTED = PredictedLatency(
-    p50_ms=1.0, p95_ms=2.0, p99_ms=3.0, low_ms=0.5, high_ms=4.0, service_ms=0.75, load=0.5, waiting_ms=0.25, transfer_ms=1.5,
+    p50_ms=1.0, p95_ms=2.0, p99_ms=3.0, low_ms=0.5, high_ms=4.0, service_ms=0.75, host_load=0.5, waiting_ms=0.25, transfer_ms=1.5,
     rtt_ms=2.5, elsewhere=True,
 )  # fmt: skip
 RANKED = RankedHost(
@@ -159,7 +160,17 @@ DECISION = Decision(
     task="t", verdict=Verdict.KEPT, reason=Reason.DWELL, host="h", previous_host="g", total=0.1, lead=0.2, challenger="c", subject="s",
     amount=1.0, cost=COST, nearest="n", overcommitted=True, ranking=(RANKED,), rejection_counts={"stale": 2}, demand=(RHO,),
 )  # fmt: skip
-STEP = Step(decision=DECISION, action=Action.MOVE, instances={"h": "i"}, stop=("g",), changed=("env",))
+STANDBY = StandbyStep(
+    host="h", action=StandbyAction.KEEP, reason=StandbyReason.DWELL, instance="i", subject="g", amount=-1.5, total=-0.5, demand=Usage(cpu=0.5, memory=2.0),
+)  # fmt: skip
+STEP = Step(
+    decision=DECISION,
+    action=Action.MOVE,
+    instances={"h": "i"},
+    stop=("g",),
+    changed=("env",),
+    standbys=(STANDBY,),
+)
 EXPECTED = ExpectedLoad(used=Usage(cpu=1.0, memory=2.0), links={"r": 3.0})
 PLAN = Plan(
     created_at=1.5, policy=POLICY, inventory_digest="a", tasks_digest="b", snapshot=SNAPSHOT, settled=False, steps=(STEP,),
@@ -168,7 +179,7 @@ PLAN = Plan(
 )  # fmt: skip
 VALUES = [
     LINK, LATENCY, TASK, INTERFACE, DEVICE, CPU_USE, MEMORY_USE, HOST, PLACEMENT, MANAGER, SNAPSHOT, WEIGHTS, POLICY, REJECTION, TERMS, PREDICTED, RANKED, COST, DECISION,
-    STEP, EXPECTED, PLAN, MEASURED, RHO, UNEVEN, OTHER, OVERUSE, SHORTAGE, CERTIFICATE,
+    STANDBY, STEP, EXPECTED, PLAN, MEASURED, RHO, UNEVEN, OTHER, OVERUSE, SHORTAGE, CERTIFICATE,
 ]  # fmt: skip
 
 

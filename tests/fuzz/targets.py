@@ -51,7 +51,7 @@ from edgectl.state.shared_state import (
 from edgectl.state.store import Store
 from edgectl.state.store_file import HISTORY_FILE_NAME as HISTORY
 from edgectl.transport.agent_client import call_agent
-from edgectl.transport.base import Reply
+from edgectl.transport.base import Exchange, Reply
 from edgectl.transport.etcd_client import encode_text
 from edgectl.transport.etcd_lease import parse_fleet_keys
 from edgectl.usecases.import_files import import_ansible, import_paper, import_ros
@@ -297,6 +297,9 @@ class _AnsweringSession:
         return Reply(stdout=self.answer.replace(MARK, b"\nedgectl-frame " + asked[1]), stderr=b"", status=0)
 
     def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:
+        raise NotImplementedError
+
+    def exchange(self, command: str, stdin: bytes, *, timeout: float) -> Exchange:
         raise NotImplementedError
 
     def close(self) -> None:

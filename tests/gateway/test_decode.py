@@ -101,6 +101,45 @@ def test_a_device_is_what_it_says() -> None:
     assert (task.instance, task.spec_hash, task.generation, task.restarts) == ("i1", "h1", 3, 1)
 
 
+def test_an_inactive_copy_is_no_running_task() -> None:
+    copy = a_task(role="standby", switching=False, instance="i2", generation=5)
+    sample = decode_document(a_document(tasks={"slam": a_task(role="active"), "map": copy}))
+    assert (list(sample.tasks), list(sample.standbys)) == (["slam"], ["map"])
+    assert sample.standbys["map"].instance == "i2"
+    assert sample.generations == {"map": 5}
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [{"role": "standby", "switching": True}, {"role": "active"}, {"role": 7}, {"role": "standby", "pid": "x", "switching": 1}],
+)  # fmt: skip
+def test_what_may_be_active_counts_as_active(fields: dict[str, object]) -> None:
+    sample = decode_document(a_document(tasks={"slam": a_task(**fields)}))
+    assert list(sample.tasks) == ["slam"]
+    assert not sample.standbys
+    assert sample.tasks["slam"].switching is (fields.get("switching") is True)
+
+
+def test_a_copy_whose_entry_cannot_be_read_stays_a_copy() -> None:
+    sample = decode_document(a_document(tasks={"slam": a_task(role="standby", pid="x")}))
+    assert not sample.tasks
+    assert sample.standbys["slam"].detail.startswith("its entry cannot be read")
+
+
+def test_the_load_of_a_slice_includes_its_copies() -> None:
+    copy = a_task(role="standby", used_cores=0.5, used_bytes=2e8)
+    sample = decode_document(a_document(tasks={"map": copy}), SLICE)
+    assert sample.usage["cpu"].used == 0.75
+    assert sample.usage["memory"].used == 3e8
+
+
+def test_a_check_for_the_end_of_a_task_is_not_about_its_copy() -> None:
+    document = a_document(tasks={"slam": a_task(role="standby")}, checks={"slam": {"exit": 0, "detail": ""}})
+    sample = decode_document(document)
+    assert sample.standbys["slam"].state is TaskState.READY
+    assert sample.usage["cpu"].used == 1.5
+
+
 def test_a_clock_is_shown_and_not_trusted() -> None:
     for wall in (NOW + 86400.0, 0.0, NOW - 10 * 365 * 86400.0):
         sample = decode_document(a_document(wall=wall))

@@ -3,6 +3,7 @@ effect at once.
 """
 
 import dataclasses
+from dataclasses import replace
 
 import pytest
 
@@ -48,6 +49,23 @@ def test_a_sample_one_period_later_weighs_three_tenths() -> None:
     assert host.usage["memory"].used == pytest.approx(1.3 * GI)
     assert host.links["robot1"].used_bytes_per_s == pytest.approx(1.3e6)
     assert host.links["robot2"].used_bytes_per_s == 7.0
+
+
+def test_a_copy_is_smoothed_and_takes_its_readings_along_when_it_becomes_active() -> None:
+    made = smooth_all(
+        a_snapshot(edge1=replace(a_sample(used=1.0), standbys={"t": a_run(used=Usage(cpu=0.5))})),
+        a_snapshot(
+            taken_at=NOW + PERIOD,
+            edge1=replace(a_sample(used=2.0), standbys={"t": a_run(used=Usage(cpu=1.5))}),
+        ),
+        a_snapshot(
+            taken_at=NOW + 2 * PERIOD, edge1=a_sample(used=2.0, tasks={"t": a_run(used=Usage(cpu=1.5))})
+        ),
+    )
+    assert made.hosts["edge1"].tasks["t"].used["cpu"] == pytest.approx(0.8 + 0.3 * 0.7)
+    # Others used 0.5 throughout.
+    assert get_used_cores(made) == pytest.approx(0.5 + 0.8 + 0.3 * 0.7)
+    assert not made.hosts["edge1"].standbys
 
 
 def test_time_counts_not_the_number_of_samples() -> None:

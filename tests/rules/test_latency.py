@@ -128,7 +128,7 @@ def test_more_load_is_never_faster_and_nothing_is_infinite() -> None:
             assert less.p95_ms <= more.p95_ms
             assert less.p99_ms <= more.p99_ms
         assert all(0 < each.low_ms <= each.p50_ms <= each.p95_ms <= each.p99_ms < inf for each in found)
-        assert found[-1].load == 1.5, "said as it is"
+        assert found[-1].host_load == 1.5, "said as it is"
 
 
 def test_a_part_of_a_core_is_a_slow_core() -> None:

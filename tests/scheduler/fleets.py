@@ -10,7 +10,9 @@ from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy
 from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
+from edgectl.model.standby_plan import StandbyAction, StandbyStep
 from edgectl.model.task import Task, Tasks
+from edgectl.rules.measured_demand import WARM_UP_S
 from edgectl.scheduler.assign import assign
 from edgectl.scheduler.capacities import build_capacities
 from edgectl.scheduler.demand import add_measured_demands, demand_at
@@ -136,8 +138,16 @@ def _sample_after_apply(
         robot: replace(link, used_bytes_per_s=load.links.get(robot, link.used_bytes_per_s))
         for robot, link in sample.links.items()
     }
+    copies = {
+        task: _sample_of_copy(tasks.tasks[task], name, sample, step)
+        for task, steps in assignment.standbys.items()
+        for step in steps
+        if step.host == name and step.action.stays
+    }
+    ended = {task: copy for task, copy in sample.standbys.items() if not copy.state.alive}
     return replace(
         sample,
+        standbys={**ended, **copies},
         usage={name: replace(usage, used=load.used[name]) for name, usage in sample.usage.items()},
         links=links,
         tasks={**left, **running},
@@ -146,6 +156,20 @@ def _sample_after_apply(
 
 def _is_ours(name: str, run: TaskSample, tasks: Tasks) -> bool:
     return run.managed and (name not in tasks.tasks or tasks.tasks[name].managed)
+
+
+def _sample_of_copy(task: Task, host: str, sample: HostSample, step: StandbyStep) -> TaskSample:
+    before = sample.standbys.get(task.name)
+    kept = before is not None and step.action is StandbyAction.KEEP
+    return TaskSample(
+        state=TaskState.READY,
+        pid=1,
+        started_at=before.started_at if before is not None and kept else NOW - WARM_UP_S,
+        used=step.demand,
+        links={},
+        instance=before.instance if before is not None and kept else f"{task.name}-copy-on-{host}",
+        spec_hash=before.spec_hash if before is not None and kept else task.spec_hash,
+    )
 
 
 def _sample_of_run(

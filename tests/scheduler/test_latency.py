@@ -79,14 +79,14 @@ def test_the_example_of_the_page() -> None:
 def test_the_load_of_others_counts_and_its_own_does_not() -> None:
     predicted = rank(a_detection(), a_fleet(used=0.6))["edge2"].predicted_latency
     assert predicted is not None
-    assert predicted.load == pytest.approx(0.6)
+    assert predicted.host_load == pytest.approx(0.6)
     assert predicted.waiting_ms == pytest.approx(31.0 * 0.6 / 0.4)
     snapshot = a_fleet(used=0.6)
     runs = replace(snapshot.hosts["edge2"], tasks={"detection": a_run(used=Usage(cpu=0.6))})
     moved = replace(snapshot, hosts={**snapshot.hosts, "edge2": runs})
     same = rank(a_detection(), moved)["edge2"].predicted_latency
     assert same is not None
-    assert same.load == pytest.approx(0.0)
+    assert same.host_load == pytest.approx(0.0)
 
 
 def test_nothing_is_predicted_without_deadline_or_service_time() -> None:

@@ -16,7 +16,7 @@ import pytest
 
 from edgectl.errors import DeadlineError, NoPythonError, RefusedError, ReplyError
 from edgectl.transport.agent_client import build_agent_command, call_agent, stream_agent_log
-from edgectl.transport.base import Reply
+from edgectl.transport.base import Exchange, Reply
 from edgectl.transport.local import LocalSession
 from tests.pace import patience
 
@@ -41,6 +41,9 @@ class ScriptedSession:
 
     def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:
         yield from [bytes([each]) for each in self.run(command, stdin, timeout=1.0).stdout]
+
+    def exchange(self, command: str, stdin: bytes, *, timeout: float) -> Exchange:
+        raise NotImplementedError
 
     def close(self) -> None: ...
 

@@ -7,6 +7,7 @@ from edgectl.model.inventory import Connection, Host, Role
 from edgectl.transport.agent_client import call_agent, stream_agent_log
 from edgectl.transport.fake import FakeTransport
 from edgectl.transport.fleet_transport import FleetTransport
+from edgectl.transport.held_call import hold_agent_call
 
 
 def a_host(name: str = "edge1") -> Host:
@@ -77,3 +78,24 @@ def test_a_local_host_needs_no_ssh() -> None:
         assert session.run("cat", b"x", timeout=20).stdout == b"x"
     assert transports.address(host) == "localhost"
     assert ("paramiko" in sys.modules) is loaded
+
+
+HELD = {"op": "activate", "fleet": "lab", "host": "edge1", "task": "slam", "await_go_s": 5.0}
+
+
+def test_a_held_request_reaches_its_handler_with_go() -> None:
+    transport = FakeTransport({"edge1": lambda _request: {"state": "active"}})
+    session = transport.connect(a_host(), timeout=30)
+    with hold_agent_call(session, HELD, timeout=30) as held:
+        assert transport.requests == []
+        held.go()
+        held.go()
+        assert held.wait() == {"state": "active"}
+    assert transport.requests == [("edge1", HELD)]
+
+
+def test_a_held_request_without_go_is_not_asked() -> None:
+    transport = FakeTransport({"edge1": lambda _request: {"state": "active"}})
+    with hold_agent_call(transport.connect(a_host(), timeout=30), HELD, timeout=30) as held:
+        assert held.wait() == {"state": "not-asked"}
+    assert transport.requests == []

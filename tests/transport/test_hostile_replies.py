@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from edgectl.errors import ReplyError
-from edgectl.transport.agent_client import _ChunkReader, _find_payload
+from edgectl.transport.agent_client import _ChunkReader, find_payload
 from edgectl.transport.sockets import MAX_LOGIN_BYTES, MAX_PACKET_BYTES, TunedSocket, TunnelLine
 from tests.pace import patience
 
@@ -30,7 +30,7 @@ def measure_growth() -> None:
     """Print by how many MiB the memory of this process grows while it looks for the payload."""
     reply = nest_frames(1800)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    _find_payload(reply, MARKER)
+    find_payload(reply, MARKER)
     print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
 
 
@@ -44,10 +44,10 @@ def test_thousands_of_frames_within_each_other_take_no_memory() -> None:
 
 def test_a_frame_is_what_it_encloses_and_two_that_differ_are_none() -> None:
     one, other = nest_frames(1), nest_frames(1).replace(b"{}", b"[]")
-    assert _find_payload(one * 2, MARKER) == b"{}"
-    assert _find_payload(one * 3, MARKER) is None
-    assert _find_payload(one + other, MARKER) == b"{}"  # the digest of the other is wrong
-    assert _find_payload(nest_frames(2), MARKER) == one
+    assert find_payload(one * 2, MARKER) == b"{}"
+    assert find_payload(one * 3, MARKER) is None
+    assert find_payload(one + other, MARKER) == b"{}"  # the digest of the other is wrong
+    assert find_payload(nest_frames(2), MARKER) == one
 
 
 @pytest.mark.parametrize("kind", [TunedSocket, TunnelLine])

@@ -8,7 +8,7 @@ import pytest
 
 from edgectl.errors import AuthError, ConnectError, HostError
 from edgectl.model.inventory import Host
-from edgectl.transport.base import Reply
+from edgectl.transport.base import Exchange, Reply
 from edgectl.transport.connections import SessionPool
 from tests.builders import an_edge
 
@@ -53,6 +53,9 @@ class CountedSession:
 
     def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:
         yield stdin
+
+    def exchange(self, command: str, stdin: bytes, *, timeout: float) -> Exchange:
+        raise NotImplementedError
 
     def close(self) -> None:
         self.transport.closed += 1

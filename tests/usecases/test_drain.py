@@ -1,15 +1,17 @@
 """drain: tasks leave through their handoff contracts, or the remaining ones are reported."""
 
 import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from edgectl.errors import HostError, UsageError
 from edgectl.model.check import Check, CheckLocation
-from edgectl.model.plan import Action
+from edgectl.model.plan import Action, Plan
 from edgectl.model.policy import Policy
 from edgectl.model.result import Outcome
+from edgectl.model.standby_plan import StandbyAction
 from edgectl.model.task import HandoffContract
 from edgectl.state.manager_state import load_manager_state
 from edgectl.usecases import operator_marks
@@ -18,12 +20,13 @@ from edgectl.usecases.drain import DrainResult, drain_hosts
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.history import list_revisions
 from edgectl.usecases.plan import make_plan
-from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tasks
+from tests.builders import NOW, a_robot, a_standby_rule, a_task, an_edge, an_inventory, some_tasks
 from tests.executor.fake_fleet import FakeFleet
 
 POLICY = Policy(min_dwell=0.0)
 SAFE = Check(command="safe", on=CheckLocation.ROBOT, timeout=1.0)
 SLAM = a_task("slam", cpu=1.0, robots=["robot1"], handoff=HandoffContract(safe_when=SAFE, timeout=0.0))
+NAV = a_task("nav", cpu=0.1, standby=a_standby_rule())
 CAMERA = a_task("camera", cpu=1.0, pin="edge2")
 
 
@@ -70,6 +73,28 @@ def test_the_tasks_of_the_host_leave_and_it_stays_closed(bench: Bench) -> None:
     assert not make_plan(bench.fleet, POLICY).changes
     operator_marks.uncordon_hosts(bench.fleet, ["edge1"])
     assert bench.marks == (frozenset(), frozenset())
+
+
+def test_inactive_copies_leave_the_host_too(bench: Bench) -> None:
+    """nav runs on edge2 and waits on edge1: its copy ends, and nav itself is left alone."""
+    fleet = replace(bench.fleet, tasks=some_tasks(SLAM, CAMERA, NAV))
+    bench.hosts["edge2"].runs("nav")
+    bench.hosts["edge1"].runs("nav", instance="copy", state="ready")
+    bench.hosts["edge1"].tasks["nav"]["role"] = "standby"
+    shown: list[Plan] = []
+
+    def decline(plan: Plan) -> bool:
+        shown.append(plan)
+        return False
+
+    assert drain_hosts(fleet, POLICY, ["edge1"], decline).applied.declined
+    steps = {step.task: step for step in shown[0].steps}
+    assert steps.keys() == {"slam", "nav"}
+    assert steps["nav"].action is Action.KEEP
+    assert [(each.host, each.action, each.instance) for each in steps["nav"].standbys] == [
+        ("edge1", StandbyAction.STOP, "copy"),
+        (None, StandbyAction.NONE, ""),
+    ]
 
 
 def test_a_declined_drain_closes_nothing(bench: Bench) -> None:

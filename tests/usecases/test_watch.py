@@ -4,6 +4,7 @@ import dataclasses
 import time
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,12 +15,16 @@ from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action
 from edgectl.model.policy import WEIGHT_PRESETS, Policy
 from edgectl.model.result import Outcome
+from edgectl.model.task import UnreachablePolicy
+from edgectl.scheduler.partition import FENCE_SLACK_S
 from edgectl.state.lock import FleetLock
 from edgectl.state.manager_state import load_manager_state
 from edgectl.usecases import operator_marks
 from edgectl.usecases.control import Control, ControlRequest
 from edgectl.usecases.fleet import Fleet
-from tests.builders import a_task, some_tasks
+from edgectl.usecases.heartbeat import load_state_with_heartbeats
+from tests.builders import a_standby_rule, a_task, some_tasks
+from tests.executor.fake_fleet import FakeHost
 from tests.pace import patience
 from tests.state.journal_files import read_entries
 from tests.usecases.watch_site import EVERY, WatchSite
@@ -328,3 +333,38 @@ def test_a_fleet_that_is_too_small_says_once_what_it_lacks(tmp_path: Path) -> No
         site.hosts[name].used = 2.0
     told = [warning for c in site.watch(4) for warning in c.warnings]
     assert told == ["the edges are short of 2.00 cores of cpu: the least that would help"]
+
+
+@pytest.mark.parametrize("every", [7.0, 10.0, 60.0])
+def test_a_copy_is_activated_within_a_second_of_the_moment_at_which_the_old_one_has_stopped(
+    tmp_path: Path, every: float
+) -> None:
+    """30 s of self_fence, the grace, and 10 s for the clocks after the last contact, whatever the period."""
+    rule: dict[str, Any] = {
+        "on_unreachable": UnreachablePolicy.REPLACE,
+        "self_fence": 30.0,
+        "replace_after": 0.0,
+    }
+    task = a_task("slam", cpu=1.0, robots=["robot1"], standby=a_standby_rule(), **rule)
+    site = WatchSite(tmp_path, tasks=some_tasks(task))
+    activated: list[float] = []
+
+    def note_activation(host: FakeHost) -> None:
+        def answer(request: dict[str, object]) -> dict[str, object]:
+            activated.append(site.hands.wall())
+            return host._activate(request)
+
+        host.faults["activate"] = answer
+
+    for name in ("edge1", "edge2"):
+        note_activation(site.hosts[name])
+
+    def cut_off() -> None:
+        site.hosts.down.add(load_manager_state(site.fleet.state).placements["slam"].host)
+
+    list(site.watch(12, {2: cut_off}, every=every))
+    old = next(iter(site.hosts.down))
+    contact = load_state_with_heartbeats(site.fleet).contact[old]
+    (moment,) = activated
+    gone = 30.0 + task.stop.grace + FENCE_SLACK_S
+    assert gone <= moment - contact <= gone + 1.0

@@ -23,6 +23,7 @@ from edgectl.model.snapshot import (
     Snapshot,
     TaskState,
 )
+from edgectl.model.standby import StateRule
 from edgectl.model.task import HandoffContract, Need, NeedCondition
 from edgectl.views.describe_host import HostDetailsView
 from edgectl.views.describe_task import TaskDetailsView
@@ -55,9 +56,9 @@ SLAM = a_task(
     env={"API_KEY": Secret("canary-task"), "MODE": "fast"}, demand=Demand(cpu=Quantity(value=0.5, relative=True), memory=Quantity(value=GI)),
     ready=Check(command="rosnode info /slam"),
     handoff=HandoffContract(safe_when=Check(command="at-rest", on=CheckLocation.ROBOT, timeout=5.0)),
-    self_fence=60.0,
+    self_fence=60.0, state=StateRule(save=Check(command="map save"), load=Check(command="map load")),
 )  # fmt: skip
-TASKS = some_tasks(SLAM, a_task("idle"))
+TASKS = some_tasks(SLAM, a_task("idle", state=StateRule(topic="/map")))
 LINK = LinkSample(
     capacity_bytes_per_s=10e6,
     used_bytes_per_s=4e6,
@@ -190,7 +191,7 @@ Hosts:        pin edge1; onboard allow
 Ready:        'rosnode info /slam' on host within 20s
 Restart:      on-failure
 Stop:         TERM, then KILL after 20s
-Handoff:      stop-first; safe when 'at-rest' on robot within 5.0s; within 30s
+Handoff:      stop-first; safe when 'at-rest' on robot within 5.0s; within 30s; save 'map save' on host within 20s; load 'map load' on host within 20s
 Unreachable:  hold; stops itself after 1m00s
 Environment:  API_KEY=***, MODE=fast
 Placed:       edge1 since 2025-11-21T01:49:00Z

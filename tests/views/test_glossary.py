@@ -36,6 +36,7 @@ from edgectl.views.wait import WaitView
 from edgectl.views.watch_cycle import CycleView
 from tests.builders import NOW
 from tests.experiments import test_experiment_view, test_simulation_and_replay_views
+from tests.scheduler.test_standbys import a_copy
 from tests.views import (
     test_byte_counters,
     test_demands,
@@ -47,6 +48,7 @@ from tests.views import (
     test_live,
     test_past,
     test_profilers,
+    test_standbys,
     test_top,
 )
 from tests.views.fixtures import ROOT
@@ -65,6 +67,7 @@ def list_views() -> Iterator[View]:
     yield ListingChangesView(listing, compare_listings(None, listing), None)
     yield from (test_listing.listing_view(kind) for kind in ListingKind)
     yield StatusView(test_past.SNAPSHOT, test_past.FLEET, test_listing.TASKS)
+    yield StatusView(test_standbys.a_fleet(a_copy()), test_standbys.INVENTORY, test_standbys.TASKS)
     yield from (HistoryView(test_past.PAST), RevisionView(test_past.PAST[0]))
     yield DrainView([test_forms.RESULTS], [("slam", "edge1")], done=False)
     yield RequestsView([REQUEST])

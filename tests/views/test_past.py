@@ -8,7 +8,7 @@ import yaml
 from edgectl.cli import exit_codes
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action
-from edgectl.model.result import ActionResult, Outcome, Phase, PhaseResult
+from edgectl.model.result import ActionResult, CarriedState, Outcome, Phase, PhaseResult
 from edgectl.model.revision import Revision, RevisionOutcome
 from edgectl.views import plan_sections
 from edgectl.views.history import HistoryView, RevisionView
@@ -23,6 +23,7 @@ MOVED = ActionResult(
     task="slam", action=Action.MOVE, outcome=Outcome.FAILED, host="edge2", previous_host="edge1", located="edge1", downtime_s=1.5,
     phases=(PhaseResult(phase=Phase.STOP, host="edge1", seconds=0.25, ok=True), PhaseResult(phase=Phase.START, host="edge2", seconds=1.0, ok=False)),
     error="no space\x1b[2J left; restored on edge1",
+    state=CarriedState(host="edge1", size_bytes=4_000_000, sent_bytes=1_000_000, sha256="ab" * 32, save_s=0.2, transfer_s=1.5, load_s=0.3, age_s=2.5),
 )  # fmt: skip
 PAST = [
     Revision(

@@ -43,7 +43,15 @@ def serve_request(request: bytes, channel: "Channel", bases: "list[str]") -> Non
             from ..supervise.logs import follow_log
 
             return follow_log(document, channel)
+        if document["op"] == protocol.OP_READ_STATE:
+            from ..supervise.state_spool import stream_state
+
+            return stream_state(document, channel)
         operation = _find_operation(document["op"])
+        if document["op"] in protocol.HELD_OPS:
+            from .hold import Hold
+
+            document["hold"] = Hold(channel, float(document["await_go_s"]))
         if _needs_lease(document):
             from ..supervise.lease import perform_within_lease
 
@@ -107,6 +115,10 @@ def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C90
         from ..supervise.stop import stop_task as operation
     elif name == protocol.OP_FORGET:
         from ..supervise.stop import forget_task_nodes as operation
+    elif name == protocol.OP_ACTIVATE:
+        from ..supervise.switch import activate_task as operation
+    elif name == protocol.OP_DEACTIVATE:
+        from ..supervise.switch import deactivate_task as operation
     elif name == protocol.OP_STATUS:
         from ..supervise.status import report_status as operation
     elif name == protocol.OP_WAIT:
@@ -123,6 +135,14 @@ def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C90
         from ..supervise.lease import serve_lease as operation
     elif name == protocol.OP_LOGS:
         from ..supervise.logs import read_logs as operation
+    elif name == protocol.OP_SAVE_STATE:
+        from ..supervise.state_commands import save_state as operation
+    elif name == protocol.OP_WRITE_STATE:
+        from ..supervise.state_spool import write_state as operation
+    elif name == protocol.OP_LOAD_STATE:
+        from ..supervise.state_commands import load_state as operation
+    elif name == protocol.OP_DROP_STATE:
+        from ..supervise.state_spool import drop_state as operation
     elif name == protocol.OP_FETCH:
         from .fetch import read_file_piece as operation
     elif name == protocol.OP_SINK:

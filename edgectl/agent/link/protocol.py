@@ -7,16 +7,20 @@ Valid for Python 3.6, without imports: the agent loads it on the host, the manag
 VERSION = 1
 
 # Operations: key ``op`` of a request.
+OP_ACTIVATE = "activate"
 OP_ADOPT = "adopt"
 OP_CHECK = "check"
 OP_COUNTERS = "counters"
+OP_DEACTIVATE = "deactivate"
 OP_DOCTOR = "doctor"
+OP_DROP_STATE = "drop-state"
 OP_FETCH = "fetch"
 OP_FOLLOW = "follow"
 OP_FORGET = "forget"
 OP_GRAPH = "graph"
 OP_HEAR = "hear"
 OP_LEASE = "lease"
+OP_LOAD_STATE = "load-state"
 OP_LOGS = "logs"
 OP_MARK = "mark"
 OP_PROBE = "probe"
@@ -24,7 +28,9 @@ OP_PROFILER_RUN = "profiler-run"
 OP_PROFILER_START = "profiler-start"
 OP_PROFILER_STATUS = "profiler-status"
 OP_PROFILER_STOP = "profiler-stop"
+OP_READ_STATE = "read-state"
 OP_SAMPLE_LINK = "sample-link"
+OP_SAVE_STATE = "save-state"
 OP_SEND = "send"
 OP_SINK = "sink"
 OP_START = "start"
@@ -33,10 +39,18 @@ OP_STOP = "stop"
 OP_SUPERVISE = "supervise"
 OP_TAKE_OVER = "takeover"
 OP_WAIT = "wait"
+OP_WRITE_STATE = "write-state"
 
 # Operations that change tasks or robots. While a manager holds the fleet they carry its ``lease``
 # (SIGNATURE_KEYS); a probe may carry a claim of it (CLAIM_KEYS).
-CHANGING_OPS = (OP_START, OP_STOP, OP_MARK, OP_CHECK, OP_TAKE_OVER, OP_FORGET)
+STATE_OPS = (OP_SAVE_STATE, OP_WRITE_STATE, OP_LOAD_STATE, OP_DROP_STATE)
+CHANGING_OPS = (
+    *(OP_START, OP_STOP, OP_MARK, OP_CHECK, OP_TAKE_OVER, OP_FORGET),
+    *(OP_ACTIVATE, OP_DEACTIVATE),
+    *STATE_OPS,
+)
+# Those among them that may wait for ``go``.
+HELD_OPS = (OP_ACTIVATE, OP_DEACTIVATE)
 SIGNATURE_KEYS = ("holder", "session", "epoch")
 # Name of the record of the lease in the directory of the fleet.
 LEASE_FILE = "lease"
@@ -45,10 +59,13 @@ CLAIM_KEYS = ("holder", "session", "manager", "revision", "who", "verb", "ttl_s"
 # Keys of a request besides ``op``, ``fleet`` and ``host``; OP_PROFILER_RUN and OP_SUPERVISE are requests of
 # the agent to itself.
 REQUEST_KEYS = {
+    OP_ACTIVATE: ("task", "instance", "generation", "manager", "spec", "await_go_s"),
     OP_ADOPT: ("tasks", "former"),
     OP_CHECK: ("command", "graph", "prelude", "ros", "env", "timeout_s"),
     OP_COUNTERS: ("action", "links"),
+    OP_DEACTIVATE: ("task", "instance", "generation", "manager", "spec", "await_go_s"),
     OP_DOCTOR: ("links", "prelude", "ros", "packages", "env", "timeout_s"),
+    OP_DROP_STATE: ("task", "generation"),
     OP_FETCH: ("task", "workdir", "file", "most", "offset"),
     OP_FOLLOW: ("task", "tail"),
     OP_FORGET: ("task", "master", "nodes"),
@@ -66,22 +83,52 @@ REQUEST_KEYS = {
         "timeout_s",
     ),
     OP_LEASE: ("action", "lease", "end_watch"),
+    OP_LOAD_STATE: (
+        "task",
+        "instance",
+        "generation",
+        "command",
+        "topic",
+        "prelude",
+        "ros",
+        "env",
+        "workdir",
+        "timeout_s",
+        "size",
+        "sha256",
+        "repeat",
+    ),
     OP_LOGS: ("task", "tail"),
     OP_MARK: ("task", "instance", "ready", "leaving_s"),
     OP_PROBE: ("window_s", "links", "peers", "detect", "checks", "latency", "former", "manager"),
     OP_PROFILER_START: ("every_s", "ttl_s", "links", "peers", "detect"),
     OP_PROFILER_STATUS: ("links", "peers", "detect"),
     OP_PROFILER_STOP: (),
+    OP_READ_STATE: ("task", "offset"),
     OP_SAMPLE_LINK: ("address", "port", "token", "seconds", "rate_bytes_per_s"),
+    OP_SAVE_STATE: (
+        "task",
+        "instance",
+        "generation",
+        "command",
+        "topic",
+        "prelude",
+        "ros",
+        "env",
+        "workdir",
+        "timeout_s",
+        "max_bytes",
+    ),
     OP_SEND: ("address", "port", "token", "seconds"),
     OP_SINK: ("seconds",),
-    OP_START: ("task", "instance", "generation", "manager", "spec"),
-    OP_TAKE_OVER: ("task", "instance", "generation", "manager", "spec"),
+    OP_START: ("task", "instance", "generation", "manager", "role", "spec", "keep_state"),
+    OP_TAKE_OVER: ("task", "instance", "generation", "manager", "role", "spec"),
     OP_STATUS: ("task",),
-    OP_STOP: ("task", "instance", "generation", "stop", "lease_s"),
+    OP_STOP: ("task", "instance", "generation", "stop", "lease_s", "keep_state"),
     OP_WAIT: ("task", "instance", "timeout_s", "up_s"),
+    OP_WRITE_STATE: ("task", "generation", "total", "offset", "size", "packed", "bytes"),
 }
-# Keys of ``spec`` in OP_START.
+# Keys of ``spec`` in OP_START, OP_TAKE_OVER, OP_ACTIVATE and OP_DEACTIVATE.
 SPEC_KEYS = (
     "command",
     "prelude",
@@ -92,6 +139,7 @@ SPEC_KEYS = (
     "stop",
     "ready",
     "alive",
+    "activation",
     "ros",
     "log",
     "limits",
@@ -103,6 +151,9 @@ SPEC_KEYS = (
     "needed",
     "replaces",
 )
+# Keys of ``activation`` there: a pair of commands, or the name of a ROS 2 node with a lifecycle; the check
+# that an instance can be activated, or how long it must have run.
+ACTIVATION_KEYS = ("activate", "deactivate", "lifecycle", "ready", "up_s")
 # Keys of the entry of a task in a reply; the last line is measured by OP_PROBE alone.
 ENTRY_KEYS = (
     "state",
@@ -115,6 +166,8 @@ ENTRY_KEYS = (
     "needed",
     "nodes",
     "generation",
+    "role",
+    "switching",
     "managed",
     "restarts",
     "exit_code",
@@ -205,6 +258,19 @@ ALIVE_STATES = (STARTING, RUNNING, READY, UNHEALTHY)
 FAILED_STATES = (FAILED, CRASHLOOP)
 FINAL_STATES = (COMPLETED, FAILED, CRASHLOOP, STOPPED)
 
+# Role of an instance of a task with ``activation``: key ``role`` of its entry; empty without one.
+ROLE_ACTIVE, ROLE_STANDBY = "active", "standby"
+# States of the replies to OP_ACTIVATE and OP_DEACTIVATE besides these two: without ``go`` nothing was done;
+# the command failed, and ``role`` says what the instance counts as now.
+NOT_ASKED = "not-asked"
+ACTIVATE_FAILED, DEACTIVATE_FAILED = "activate-failed", "deactivate-failed"
+# Keys of these replies; ``active_again`` with DEACTIVATE_FAILED: whether the instance was proven active
+# again.
+SWITCH_KEYS = ("state", "instance", "role", "switching", "seconds", "detail", "active_again")
+# A request that waits for ``go`` prints this word and its marker on a line of its own once it is prepared;
+# then the line GO_LINE on its standard input lets it go on.
+HELD_WORD, GO_LINE = "edgectl-held", b"go\n"
+
 # ``partial`` of a link and of a task in the reply to OP_PROBE: what its traffic lacks; empty where nothing.
 UDP_UNSEEN = "udp unseen"
 # The same of a task whose links have counters, and which is in no control group of its own.
@@ -231,6 +297,11 @@ STALLED = "stalled"
 
 # Obstacle of a disk whose state directory is something else; the manager derives its hint from it.
 NO_DIRECTORY = "the path exists and is not a directory"
+
+# The state of a task travels in pieces of so many bytes; the first byte of a chunk of OP_READ_STATE says
+# whether the rest of it is compressed. OP_WRITE_STATE has its ``bytes`` after the request.
+STATE_PIECE_BYTES = 1 << 20
+STATE_PLAIN, STATE_PACKED = b"r", b"z"
 
 # Size of a reply with the noise of a login shell around it.
 MAX_REPLY_BYTES = 1 << 20

@@ -25,6 +25,8 @@ _FAST_DDS = b"\x01\x0f"
 # How long a name that is asked for the first time may take to be discovered, and how long after its own start
 # the helper may not know names that have long been there: on a busy host discovery takes seconds.
 _DISCOVERY_S, _SETTLE_S = 1.0, 5.0
+# By name: the number of a transition, and the state after it.
+_TRANSITIONS = {"configure": (1, "inactive"), "activate": (3, "active"), "deactivate": (4, "inactive")}
 # A list is complete when two looks so far apart see the same nodes.
 _LOOK_S, _MOST_LOOKS = 0.5, 10
 
@@ -37,6 +39,7 @@ class Graph:
         self.rclpy.init(args=[])
         self.node = self.rclpy.create_node("edgectl_%d" % os.getpid(), enable_rosout=False)
         self.clients: "dict[str, Any]" = {}
+        self.lifecycles = Lifecycles(self)
         self.settled_at = time.monotonic() + _SETTLE_S
         self.asked_at = time.monotonic()
         # The questions that are being answered.
@@ -49,9 +52,10 @@ class Graph:
         threading.Thread(target=executor.spin, daemon=True).start()
 
     def answer(self, asked: "dict[str, Any]") -> str:
-        """Answer a question: ``idle``, for how many seconds none was asked; ``list``, the graph; ``ends``,
-        the writers of one name; of ``processes``, the names of their nodes; of names, those ``present`` in
-        the graph; else the first condition that does not hold, empty where all do.
+        """Answer a question: ``idle``, for how many seconds none was asked; ``list``, the graph; ``change``
+        and ``warm``, of the lifecycle of a node; ``ends``, the writers of one name; of ``processes``, the
+        names of their nodes; of names, those ``present`` in the graph; else the first condition that does
+        not hold, empty where all do.
         """
         if "idle" in asked:
             return "%.1f" % (0.0 if self.live else time.monotonic() - self.asked_at)
@@ -66,6 +70,8 @@ class Graph:
     def _answer(self, asked: "dict[str, Any]") -> str:
         if asked.get("list"):
             return json.dumps(self.list_graph())
+        if asked.get("change") or asked.get("warm"):
+            return self.lifecycles.answer(asked)
         if "ends" in asked:
             return json.dumps(self.list_ends(asked["ends"]))
         if "processes" in asked:
@@ -76,7 +82,7 @@ class Graph:
 
     def find_fault(self, asked: "dict[str, Any]") -> str:
         """Find the first condition that does not hold; empty where all do."""
-        if asked.get("node") and not self._discover(lambda: asked["node"] in self._list_nodes()):
+        if asked.get("node") and not self.discover(lambda: asked["node"] in self._list_nodes()):
             return "node %s is not in the graph" % asked["node"]
         if asked.get("lifecycle"):
             state = self._read_lifecycle(asked["node"])
@@ -87,11 +93,38 @@ class Graph:
             return "no message on %s within %g s" % (topic["name"], topic["within_s"])
         if asked.get("service"):
             wanted = asked["service"]
-            if not self._discover(lambda: wanted in dict(self.node.get_service_names_and_types())):
+            if not self.discover(lambda: wanted in dict(self.node.get_service_names_and_types())):
                 return "service %s is not offered" % wanted
         return ""
 
-    def _discover(self, condition: "Any") -> bool:
+    def count_nodes(self, node: str) -> int:
+        """Count the nodes of this full name, or those with its lifecycle where they are more."""
+        known = self.node.get_node_names_and_namespaces()
+        named: int = sum(space.rstrip("/") + "/" + name == node for name, space in known)
+        # Of rclpy since 2024; names come later than the services.
+        count: "Any" = getattr(self.node, "count_services", lambda _name: 0)
+        return max(named, int(count(node + "/change_state"))) - self._count_dead(node)
+
+    def _count_dead(self, node: str) -> int:
+        """Count the nodes of this name whose process on this machine has ended.
+
+        The graph goes on naming one that was killed for as long as its lease.
+        """
+        found = self._list_writers()
+        hosts = {gid[:4] for name, gid in found if name == "/" + self.node.get_name()}
+        processes = {struct.pack("<H", int(name) & 0xFFFF) for name in os.listdir("/proc") if name.isdigit()}
+        gids = [gid for name, gid in found if name == node and gid[:2] == _FAST_DDS and gid[:4] in hosts]
+        return sum(gid[4:6] not in processes for gid in gids)
+
+    def is_node_below(self, node: str, root: int) -> bool:
+        """Whether a process below ``root`` has the node; also where processes cannot be told from writers."""
+        own = {os.getpid()}
+        if "/" + self.node.get_name() not in self._list_nodes_of(sorted(own)):
+            return True
+        return node in self._list_nodes_of(sorted(_list_below(root)))
+
+    def discover(self, condition: "Any") -> bool:
+        """Wait for as long as a node or a service may take to be discovered."""
         return _wait_for(condition, max(_DISCOVERY_S, self.settled_at - time.monotonic()))
 
     def list_ends(self, of: "dict[str, str]") -> "dict[str, Any]":
@@ -99,7 +132,7 @@ class Graph:
         which each has been known; ``nodes``: how many nodes of this name there are.
         """
         node = of.get("node")
-        self._discover(lambda: self._find_writers(of) and self._count(node) <= len(self._find_writers(of)))
+        self.discover(lambda: self._find_writers(of) and self._count(node) <= len(self._find_writers(of)))
         now, gids = time.monotonic(), self._find_writers(of)
         key = json.dumps(of)
         self.known[key] = {gid: self.known.get(key, {}).get(gid, now) for gid in gids}
@@ -168,16 +201,19 @@ class Graph:
         """List the nodes of processes of this host, as far as the identifiers of their writers have the
         process: those of Fast DDS do.
         """
-        writers = self.node.get_publishers_info_by_topic("/parameter_events")
-        found = [
-            (each.node_namespace.rstrip("/") + "/" + each.node_name, bytes(each.endpoint_gid))
-            for each in writers
-        ]
+        found = self._list_writers()
         hosts = {gid[:4] for name, gid in found if name == "/" + self.node.get_name()}
         wanted = {struct.pack("<H", pid & 0xFFFF) for pid in pids}
         return {
             name for name, gid in found if gid[:2] == _FAST_DDS and gid[:4] in hosts and gid[4:6] in wanted
         }
+
+    def _list_writers(self) -> "list[tuple[str, bytes]]":
+        """List (node, identifier) of the writer that each node has."""
+        return [
+            (each.node_namespace.rstrip("/") + "/" + each.node_name, bytes(each.endpoint_gid))
+            for each in self.node.get_publishers_info_by_topic("/parameter_events")
+        ]
 
     def _read_lifecycle(self, node: str) -> str:
         if node not in self.clients:
@@ -195,7 +231,7 @@ class Graph:
         """Whether a message comes; of any publisher, whatever its quality of service, or of one whose
         identifier begins with one of ``of``.
         """
-        if not self._discover(lambda: topic in dict(self.node.get_topic_names_and_types())):
+        if not self.discover(lambda: topic in dict(self.node.get_topic_names_and_types())):
             return False
         until = time.monotonic() + within_s + _DISCOVERY_S
         package, _, name = dict(self.node.get_topic_names_and_types())[topic][0].partition("/msg/")
@@ -219,6 +255,108 @@ class Graph:
             return heard.wait(max(0.0, until - time.monotonic()))
         finally:
             self.node.destroy_subscription(subscription)
+
+
+def _list_below(root: int) -> "set[int]":
+    """List the process and all below it."""
+    parents = {}
+    for name in os.listdir("/proc"):
+        try:
+            with open("/proc/%d/stat" % int(name), "rb") as file:
+                parents[int(name)] = int(file.read().rpartition(b")")[2].split()[1])
+        except (OSError, ValueError):
+            continue
+    found, before = {root}, set()  # type: set[int], set[int]
+    while found != before:
+        before = found
+        found = found | {pid for pid, parent in parents.items() if parent in found}
+    return found
+
+
+class Lifecycles:
+    """Transitions of nodes with a lifecycle. Those of one node are made one after the other."""
+
+    def __init__(self, graph: Graph) -> None:
+        self._graph = graph
+        self._clients: "dict[str, Any]" = {}
+        self._locks: "dict[str, Any]" = {}
+
+    def answer(self, asked: "dict[str, Any]") -> str:
+        """Make the transition ``change``, or with ``warm`` only what it needs; the fault, empty for none."""
+        node, until = asked["node"], time.monotonic() + float(asked["within_s"])
+        lock = self._locks.setdefault(node, threading.Lock())
+        if not lock.acquire(timeout=float(asked["within_s"])):
+            return "node %s is in another transition" % node
+        try:
+            fault = self._find_ambiguity(node, int(asked.get("root", 0))) or self._connect(node)
+            if fault or asked.get("warm"):
+                return fault or self._read_state(node, until)[1]
+            return self._change(node, asked["change"], until)
+        finally:
+            lock.release()
+
+    def _find_ambiguity(self, node: str, root: int) -> str:
+        """A service of two nodes of one name reaches both, so such nodes are left alone.
+
+        ``root``: below this process is the node that is meant, as far as that can be seen; 0: it was already.
+        """
+        known = self._graph.discover(lambda: self._graph.count_nodes(node))
+        if not known or (root and not self._graph.discover(lambda: self._graph.is_node_below(node, root))):
+            return "node %s of this task is not in the graph" % node
+        count = self._graph.count_nodes(node)
+        if count == 1:
+            return ""
+        return "%d nodes are called %s: write {host} into the name" % (count, node)
+
+    def _connect(self, node: str) -> str:
+        if node not in self._clients:
+            services: "Any" = importlib.import_module("lifecycle_msgs.srv")
+            self._clients[node] = {
+                name: (self._graph.node.create_client(kind, node + "/" + name), kind)
+                for name, kind in (("get_state", services.GetState), ("change_state", services.ChangeState))
+            }
+        clients = [client for client, _ in self._clients[node].values()]
+        if not _wait_for(lambda: all(client.service_is_ready() for client in clients), _SERVICE_S):
+            return "node %s is without a lifecycle" % node
+        return ""
+
+    def _change(self, node: str, name: str, until: float) -> str:
+        transition, goal = _TRANSITIONS[name]
+        if name == "configure":
+            state, fault = self._read_state(node, until)
+            if fault or state == goal:
+                return fault
+            if state != "unconfigured":
+                return "node %s is %s: it is to wait for its activation" % (node, state)
+        request = self._clients[node]["change_state"][1].Request()
+        request.transition.id = transition
+        # It also declines because it is in the new state already: that counts, not its answer.
+        if self._call(node, "change_state", request, until) is None:
+            return "node %s does not answer" % node
+        # Another one may have been discovered meanwhile.
+        fault = self._find_ambiguity(node, 0)
+        state, silent = self._read_state(node, until)
+        if fault or silent or state == goal:
+            return fault or silent
+        return "node %s is %s, not %s" % (node, state, goal)
+
+    def _read_state(self, node: str, until: float) -> "tuple[str, str]":
+        """Read (the state, why it is not known)."""
+        kind = self._clients[node]["get_state"][1]
+        answer = self._call(node, "get_state", kind.Request(), until)
+        if answer is None:
+            return "", "node %s does not answer" % node
+        return str(answer.current_state.label), ""
+
+    def _call(self, node: str, name: str, request: "Any", until: float) -> "Any":
+        """The answer of a service; None where there is none in time."""
+        client, done = self._clients[node][name][0], threading.Event()
+        future = client.call_async(request)
+        future.add_done_callback(lambda _: done.set())
+        if not done.wait(max(0.0, until - time.monotonic())):
+            client.remove_pending_request(future)
+            return None
+        return future.result()
 
 
 def _wait_for(condition: "Any", seconds: float) -> bool:

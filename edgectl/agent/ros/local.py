@@ -29,10 +29,17 @@ def fill_request(request: Document) -> Document:
     values = _HostValues(ros)
     filled = dict(request, command=values.fill(request.get("command") or ""))
     filled["env"] = {name: values.fill(str(text)) for name, text in (request.get("env") or {}).items()}
-    for key in ("ready", "alive"):
-        if request.get(key):
-            filled[key] = dict(request[key], command=values.fill(request[key]["command"]))
+    _fill_checks(filled, ("ready", "alive"), values)
+    if request.get("activation"):
+        filled["activation"] = dict(request["activation"])
+        _fill_checks(filled["activation"], ("activate", "deactivate", "ready"), values)
     return filled
+
+
+def _fill_checks(document: Document, keys: "Iterable[str]", values: "_HostValues") -> None:
+    for key in keys:
+        if document.get(key):
+            document[key] = dict(document[key], command=values.fill(document[key]["command"]))
 
 
 def list_setup_files(request: Document) -> "list[str]":

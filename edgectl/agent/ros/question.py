@@ -110,8 +110,9 @@ def _load_graph(asked: Document) -> "FindFault":
 
 def start_helpers(request: Document, host: str) -> None:
     """Start the helper that the questions of a request need, where they are to ROS 2."""
-    questions = [request, request.get("ready") or {}, request.get("alive") or {}]
-    if any((each.get("graph") or {}).get("version") == 2 for each in questions):
+    rule = request.get("activation") or {}
+    questions = [request, request.get("ready") or {}, request.get("alive") or {}, rule.get("ready") or {}]
+    if rule.get("lifecycle") or any((each.get("graph") or {}).get("version") == 2 for each in questions):
         from .graph2 import ensure_helper
 
         ensure_helper(host, request.get("env") or {}, list_setup_files(request))

@@ -104,16 +104,27 @@ def perform_within_lease(request: Document, operation: "Callable[[Document], Doc
     Raises:
         RefusalError: another manager has the fleet, or the lease has run out.
     """
-    signature = request.get("lease")
-    base = _find_lease_dir()
-    if not base and signature is None:
-        return operation(request)
-    if not base:
-        raise RefusalError("not-holder", "this host knows of no lease", "apply again")
     if request["op"] == protocol.OP_START:
-        with _Lock(base, _STARTS, fcntl.LOCK_SH, _START_S):
-            return _renew_and_perform(base, request, operation)
-    return _renew_and_perform(base, request, operation)
+        return perform_before_claims(request, operation)
+    base = _find_signed_dir(request)
+    return _renew_and_perform(base, request, operation) if base else operation(request)
+
+
+def perform_before_claims(request: Document, operation: "Callable[[Document], Document]") -> Document:
+    """As `perform_within_lease`; another manager is granted the fleet only after the end of ``operation``."""
+    base = _find_signed_dir(request)
+    if not base:
+        return operation(request)
+    with _Lock(base, _STARTS, fcntl.LOCK_SH, _START_S):
+        return _renew_and_perform(base, request, operation)
+
+
+def _find_signed_dir(request: Document) -> str:
+    """The directory of the lease; empty where neither the host nor the request knows of one."""
+    base = _find_lease_dir()
+    if not base and request.get("lease") is not None:
+        raise RefusalError("not-holder", "this host knows of no lease", "apply again")
+    return base
 
 
 def _renew_and_perform(base: str, request: Document, operation: "Callable[[Document], Document]") -> Document:

@@ -11,7 +11,7 @@ import time
 from ..link import protocol
 from ..link.fast_json import Document
 from ..measure import proc
-from . import lockfile, node_record, records, state_dir
+from . import lockfile, node_record, records, role, state_dir
 
 _LAST_TRIES, _LAST_TRY_S = 25, 0.02
 _LAST_LINES, _LAST_LINE_LENGTH = 5, 200
@@ -138,6 +138,7 @@ def build_entry(found: InstanceRecord, alive: bool) -> Document:
     instance, status = found.instance, found.status
     if not instance or (not alive and status.get("state") == protocol.STOPPED):
         return {}
+    stated = role.read_role(found.folder, str(instance.get("instance")))
     document = {
         "state": status.get("state", protocol.STARTING),
         "pid": 0,
@@ -147,7 +148,9 @@ def build_entry(found: InstanceRecord, alive: bool) -> Document:
         "fields": instance.get("fields") or {},
         "file": instance.get("file", ""),
         "needed": instance.get("needed", ""),
-        "generation": instance.get("generation", 0),
+        "generation": max(instance.get("generation", 0), stated.get("generation", 0)),
+        "role": stated.get("role", ""),
+        "switching": bool(stated.get("switching")),
         "managed": True,
         "restarts": status.get("restarts", 0),
         "exit_code": status.get("exit_code"),
@@ -157,7 +160,7 @@ def build_entry(found: InstanceRecord, alive: bool) -> Document:
         "given_up": bool(status.get("given_up")),
         "nodes": node_record.list_registered(found.folder),
     }
-    document.update(_build_living_fields(found) if alive else _build_dead_fields(found))
+    document.update(_build_living_fields(found, stated) if alive else _build_dead_fields(found))
     if document["state"] in protocol.FAILED_STATES:
         document["log_tail"] = _read_last_lines(found.folder)
     return document
@@ -171,7 +174,7 @@ def _read_last_lines(folder: str) -> "list[str]":
     return [line[:_LAST_LINE_LENGTH] for line in lines[-_LAST_LINES:]]
 
 
-def _build_living_fields(found: InstanceRecord) -> Document:
+def _build_living_fields(found: InstanceRecord, stated: Document) -> Document:
     status, above = found.status, find_supervisor(found)
     main, ticks = status.get("pid", 0), status.get("ticks", -1)
     if not proc.is_process_alive(main, ticks):
@@ -179,6 +182,8 @@ def _build_living_fields(found: InstanceRecord) -> Document:
     seen = {"pid": main, "age_s": round(proc.age_s_from_ticks(ticks), 2) if main else 0.0}
     if status.get("state") == protocol.RUNNING and _is_marked_ready(found):
         seen["state"] = protocol.READY
+    if stated and status.get("state") in protocol.ALIVE_STATES:
+        seen.update(_correct_state(found, stated))
     if status.get("state") in protocol.FINAL_STATES:
         seen.update(state=protocol.RUNNING, detail="processes of the ended task remain")
     if not above:
@@ -188,6 +193,17 @@ def _build_living_fields(found: InstanceRecord) -> Document:
             detail="orphaned: the supervisor is gone, its processes still run",
         )
     return seen
+
+
+def _correct_state(found: InstanceRecord, stated: Document) -> Document:
+    """The state where the role was just changed, and the supervisor has not seen it yet.
+
+    What was recorded of an active instance says nothing of a standby, and the other way round.
+    """
+    was_active, is_active = bool(found.status.get("active")), stated["role"] == protocol.ROLE_ACTIVE
+    if was_active == is_active or found.status.get("state") == protocol.STARTING:
+        return {}
+    return {"state": protocol.STARTING if is_active else protocol.READY, "detail": ""}
 
 
 def is_adoptable(record: InstanceRecord) -> bool:

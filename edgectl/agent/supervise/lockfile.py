@@ -26,13 +26,13 @@ def take_lock(folder: str, name: str = "lock") -> int:
     return -1
 
 
-def is_lock_held(folder: str) -> bool:
+def is_lock_held(folder: str, name: str = "lock") -> bool:
     """Whether a process holds the lock.
 
     Tested with a shared lock, so that two tests do not see each other.
     """
     try:
-        fd = records.open_private_file(os.path.join(folder, "lock"), os.O_RDONLY)
+        fd = records.open_private_file(os.path.join(folder, name), os.O_RDONLY)
     except FileNotFoundError:
         return False
     try:
@@ -44,9 +44,9 @@ def is_lock_held(folder: str) -> bool:
     return False
 
 
-def find_lock_holders(folder: str, table: "dict[int, proc.Process]") -> "set[int]":
+def find_lock_holders(folder: str, table: "dict[int, proc.Process]", name: str = "lock") -> "set[int]":
     """Find the pids that hold the lock: the last evidence where even the environment was emptied."""
-    path = os.path.join(folder, "lock")
+    path = os.path.join(folder, name)
     try:
         wanted = os.stat(path)
     except OSError:

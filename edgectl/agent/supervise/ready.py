@@ -7,7 +7,7 @@ from . import spec_check
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import Mapping
+    from typing import Callable, Mapping
 
 _FIRST_PAUSE_S, _MAX_PAUSE_S, _MAX_TRY_S = 0.3, 5.0, 10.0
 # Nothing tells the end of the check's process; so often it is looked for.
@@ -17,8 +17,11 @@ _POLL_S = 0.5
 class ReadyCheck:
     """The check of one task; without ``ready`` in its spec there is never anything to run."""
 
-    def __init__(self, spec: Document, env: "Mapping[str, str]") -> None:
-        self._spec, self._env = spec, env
+    def __init__(
+        self, spec: Document, env: "Mapping[str, str]", find_main: "Callable[[], int]" = lambda: 0
+    ) -> None:
+        """``find_main``: the main process of the command, which a check gets as EDGECTL_PID."""
+        self._spec, self._env, self._find_main = spec, env, find_main
         self._running: "spec_check.RunningCheck | None" = None
         # Why the last try failed, where it was a question to the ROS graph.
         self.fault = ""
@@ -49,9 +52,8 @@ class ReadyCheck:
         return False
 
     def _start(self) -> "spec_check.RunningCheck":
-        return spec_check.start_check(
-            spec_check.build_ready_rule(self._spec), self._spec, self._env, _MAX_TRY_S
-        )
+        env = dict(self._env, EDGECTL_PID=str(self._find_main()))
+        return spec_check.start_check(spec_check.build_ready_rule(self._spec), self._spec, env, _MAX_TRY_S)
 
     def compute_wait_s(self, now: float) -> "float | None":
         """Seconds until `poll` has something to do; None: never."""

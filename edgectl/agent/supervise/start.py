@@ -9,7 +9,7 @@ from ..link import heartbeat, protocol
 from ..link.errors import RefusalError
 from ..link.fast_json import Document
 from ..measure import proc
-from . import liveness, lockfile, logind, records, scope, state_dir, status
+from . import liveness, lockfile, logind, records, role, scope, state_dir, status
 from .liveness import InstanceRecord
 
 # A start on a busy host may take seconds.
@@ -41,6 +41,8 @@ def start_task(request: Document) -> Document:
         return _build_running_reply(_wait_for_record(folder))
     try:
         status.check_generation(host, task, int(request["generation"]))
+        if not request.get("keep_state"):
+            state_dir.drop_spools(host, task)
         return _launch_task(folder, lock, request, task_scope)
     finally:
         os.close(lock)
@@ -72,6 +74,7 @@ def _build_running_reply(record: InstanceRecord) -> Document:
         "pid": document.get("pid", 0),
         "instance": known.get("instance", ""),
         "generation": known.get("generation", 0),
+        "role": document.get("role", ""),
         "detail": document.get("detail") or "state is %s" % document.get("state", protocol.STARTING),
     }
 
@@ -89,6 +92,9 @@ def _launch_task(folder: str, lock: int, request: Document, task_scope: scope.Sc
     generation = {"generation": int(request["generation"])}
     records.write_record(os.path.join(folder, "generation"), generation, durable=True)
     records.write_record(os.path.join(folder, "mark"), {})
+    role.begin_role(
+        folder, spec, str(request["instance"]), str(request.get("role")), generation["generation"]
+    )
     # The first request to a host has no directory for its heartbeat yet.
     heartbeat.record_heartbeat(request["host"])
     report = launch_supervisor(folder, lock, _build_identity(request, spec), spec, task_scope)
@@ -99,6 +105,7 @@ def _launch_task(folder: str, lock: int, request: Document, task_scope: scope.Sc
         "state": protocol.STARTED,
         "pid": report["pid"],
         "instance": request["instance"],
+        "role": str(role.read_role(folder, str(request["instance"])).get("role", "")),
         "detail": limits,
         **generation,
     }

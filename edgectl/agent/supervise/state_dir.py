@@ -19,6 +19,8 @@ from .records import RECORD_BYTES, open_private_file, read_record
 BASES: "list[str]" = []
 ROOT_NAME, OWNER_FILE_NAME, ADOPTION_FILE_NAME = "agent-state", "fleet", "adopted"
 FORMER_NAMES_FILE_NAME = "former"
+# The state of a task on its way to another host, in the directory of the task.
+SPOOL_FILE_NAME = "state"
 _FLEET: "list[str]" = ["unnamed"]
 
 
@@ -168,6 +170,8 @@ def make_task_dir(host: str, task: str) -> str:
                 ("status", RECORD_BYTES),
                 ("mark", RECORD_BYTES),
                 ("generation", RECORD_BYTES),
+                ("role", RECORD_BYTES),
+                ("switch", 0),
             ):
                 reserve_file(os.path.join(levels[-1], name), size)
             return levels[-1]
@@ -191,3 +195,15 @@ def reserve_file(path: str, size: int) -> None:
             os.pwrite(fd, b" " * (size - have), have)
     finally:
         os.close(fd)
+
+
+def drop_spools(host: str, task: str) -> bool:
+    """Remove what is left here of the state of ``task``; False where there was nothing."""
+    dropped = False
+    for folder in find_task_dirs(host, task):
+        try:
+            os.unlink(os.path.join(folder, SPOOL_FILE_NAME))
+            dropped = True
+        except FileNotFoundError:
+            continue
+    return dropped

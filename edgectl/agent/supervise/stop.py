@@ -32,6 +32,8 @@ def stop_task(request: Document) -> Document:
     host, task = state_dir.check_name(request["host"]), state_dir.check_name(request["task"])
     if request.get("generation") is not None:
         status.check_generation(host, task, int(request["generation"]))
+    if not request.get("keep_state"):
+        state_dir.drop_spools(host, task)
     alive = [record for record in liveness.read_instances(host, task) if liveness.is_alive(record)]
     wanted = [
         record for record in alive if request.get("instance") in (None, record.instance.get("instance"))
@@ -96,6 +98,11 @@ def _stop_instance(record: InstanceRecord, request: Document) -> "list[int]":
     settings = request.get("stop") or record.instance.get("stop") or {}
     note = nodes.note_nodes(record.folder)
     disable_restarts(record)
+    if lockfile.is_lock_held(record.folder, "switch"):
+        # Imported on demand: few tasks have an activation.
+        from .switch_lock import end_switch
+
+        end_switch(record.folder)
     for name, scope, grace_s in signals.list_stop_steps(settings):
         if _signal_until_gone(record, signals.parse_signal(name), scope, grace_s, note):
             break

@@ -13,7 +13,8 @@ import time
 from ..link import fast_json, heartbeat, protocol
 from ..link.fast_json import Document
 from ..measure import metrics, proc
-from . import backoff, liveness, lockfile, records, scope, shell, signals, spawn
+from . import activation, backoff, liveness, lockfile, records, scope, shell, signals, spawn
+from .activation import Activation
 from .alive import AliveCheck
 from .logfile import LogWriter
 from .nodes import NodeWatch
@@ -79,7 +80,11 @@ class Supervisor:
             proc.read_uptime_s(),
             0.0,
         )
-        self.ready, self.alive = ReadyCheck(spec, self.env), AliveCheck(spec, self.env)
+        self.ready, self.alive = (
+            ReadyCheck(spec, self.env, self._find_main_process),
+            AliveCheck(spec, self.env),
+        )
+        self.activation = Activation(folder, identity["instance"], spec, self.env, self._find_main_process)
         self.nodes = NodeWatch(folder, spec, self.env)
         self.next_metrics = 0.0
         self.latency: "LatencyTail | None" = None
@@ -115,7 +120,9 @@ class Supervisor:
         self.pid, self.ticks = int(status.get("pid", 0)), int(status.get("ticks", -1))
         # Without a main process there is an end to handle: only leftovers live.
         self.pid, self.started = self.pid or -1, time.monotonic() - proc.age_s_from_ticks(self.ticks)
-        if status.get("state") == protocol.STARTING:
+        if self.activation.rule:
+            self.activation.adopt(self.pid, self.ticks, status)
+        if status.get("state") == protocol.STARTING and self._is_active():
             self.ready.begin()
 
     def _install_handlers(self) -> None:
@@ -151,10 +158,15 @@ class Supervisor:
         self.pid, self.pipe = spawn.spawn_command(argv, self.env, self.spec.get("workdir"), self.lock)
         process = proc.read_process(self.pid)
         self.ticks, self.started = process.ticks if process is not None else -1, time.monotonic()
-        self.ready.begin()
         self.nodes.begin()
+        if self.activation.rule:
+            self.activation.begin(self.pid, self.ticks)
+            self.status.update(prepared=False, active=False)
+        else:
+            self.ready.begin()
+        waits = self.activation.rule or self.spec.get("ready")
         self._record_status(
-            state=protocol.STARTING if self.spec.get("ready") else protocol.RUNNING,
+            state=protocol.STARTING if waits else protocol.RUNNING,
             pid=self.pid,
             ticks=self.ticks,
             exit_code=None,
@@ -172,7 +184,9 @@ class Supervisor:
                 self._copy_output()
             else:
                 _drain_fd(fd)
+                self.activation.look()
         # Before the children are reaped: the process of a check that has ended stands in their way.
+        self._follow_role()
         self._ask_readiness()
         self._ask_health()
         if self.pid and not self.stopping:
@@ -203,6 +217,7 @@ class Supervisor:
         checks = (
             self.ready.compute_wait_s(now),
             self.alive.compute_wait_s(now),
+            self.activation.compute_wait_s(now),
             self.nodes.compute_wait_s(now) if self.pid and not self.stopping else None,
         )
         times.extend(each for each in checks if each is not None)
@@ -252,11 +267,39 @@ class Supervisor:
                 self.code = ended = code
 
     def _owns_check(self, pid: int) -> bool:
-        return self.ready.owns_process(pid) or self.alive.owns_process(pid)
+        return any(each.owns_process(pid) for each in (self.ready, self.alive, self.activation))
 
     def _cancel_checks(self) -> None:
         self.ready.cancel()
         self.alive.cancel()
+        self.activation.cancel()
+
+    def _find_main_process(self) -> int:
+        return signals.find_main_process(self.pid, proc.read_process_table())
+
+    def _is_active(self) -> bool:
+        """Whether the task is to be ready and alive: not while it waits for its activation."""
+        return not self.activation.rule or self.activation.active
+
+    def _follow_role(self) -> None:
+        """Make the process what the record of the role says, and record what it is."""
+        if not self.pid or self.stopping:
+            return
+        news = self.activation.poll(lambda: not self.fence_s or self._compute_fence_left_s() > 0)
+        if news == activation.FAILED:
+            self._give_up(self.activation.fault)
+        elif news == activation.ACTIVE:
+            self.ready.begin()
+            state = protocol.STARTING if self.spec.get("ready") else protocol.RUNNING
+            self._record_status(state=state, prepared=True, active=True, detail="")
+        elif news and self.activation.is_standby():
+            self.ready.cancel()
+            self.alive.cancel()
+            self._record_status(state=protocol.READY, prepared=True, active=False, detail="")
+        elif news == activation.PREPARED:
+            self._record_status(prepared=True, detail="")
+        elif self.activation.fault and self.status["detail"] != self.activation.fault:
+            self._record_status(detail=self.activation.fault)
 
     def _ask_readiness(self) -> None:
         if self.ready.poll():
@@ -269,6 +312,8 @@ class Supervisor:
         if self.stopping:
             self.alive.cancel()
         if not self.pid or self.stopping or self.status["state"] == protocol.STARTING:
+            return
+        if not self._is_active():
             return
         self.alive.begin()
         fault = self.alive.poll()
@@ -285,11 +330,25 @@ class Supervisor:
     def _restart_unhealthy(self, fault: str) -> None:
         """End the task as a stop does, and start it again by the rules of a crash."""
         self._record_status(state=protocol.UNHEALTHY, detail=fault)
-        self.log.write(("edgectl: not alive: %s; restarting\n" % fault).encode("utf-8", "replace"))
+        self._restart_faulty("not alive: " + fault)
+
+    def _give_up(self, fault: str) -> None:
+        """Treat a process that cannot be activated as one that has failed, by the rules of a crash."""
+        if self.spec.get("restart", "on-failure") != "never":
+            return self._restart_faulty(fault)
+        self._cancel_checks()
+        left = self._end_tree(signals.list_stop_steps(self.spec.get("stop") or {}), forced=True)
+        outcome = dict(spawn.describe_exit(self.code), detail=fault)
+        self.pid, self.status["last_exit"] = 0, outcome["exit_code"]
+        state = protocol.STOPPED if self.stopping else protocol.FAILED
+        return self._record_status(state=state, pid=0, left=left, given_up=True, **outcome)
+
+    def _restart_faulty(self, fault: str) -> None:
+        self.log.write(("edgectl: %s; restarting\n" % fault).encode("utf-8", "replace"))
         self._cancel_checks()
         ran_s = time.monotonic() - self.started
         left = self._end_tree(signals.list_stop_steps(self.spec.get("stop") or {}), forced=True)
-        outcome = dict(spawn.describe_exit(self.code), detail="not alive: " + fault)
+        outcome = dict(spawn.describe_exit(self.code), detail=fault)
         self.pid, self.status["last_exit"] = 0, outcome["exit_code"]
         if self.stopping or left:
             state = protocol.FAILED if left else protocol.STOPPED
@@ -357,11 +416,12 @@ class Supervisor:
         """Stop for good after ``self_fence_s`` without a heartbeat: a manager may have started the task
         elsewhere.
         """
-        left_s = self.fence_s - (
-            proc.read_uptime_s() - max(self.begun, heartbeat.read_last_heartbeat(self.identity["host"]))
-        )
-        self.next_look = time.monotonic() + min(_HEARTBEAT_CHECK_S, left_s)
-        if left_s > 0 or not (self.pid or self.next_start is not None):
+        left_s = self._compute_fence_left_s()
+        # A standby does nothing that another instance could do at the same time.
+        spared = self.activation.is_standby()
+        pause_s = _HEARTBEAT_CHECK_S if spared else min(_HEARTBEAT_CHECK_S, left_s)
+        self.next_look = time.monotonic() + pause_s
+        if spared or left_s > 0 or not (self.pid or self.next_start is not None):
             return
         self._cancel_checks()
         left = self._end_tree(signals.list_stop_steps(self.spec.get("stop") or {}), forced=True)
@@ -379,6 +439,11 @@ class Supervisor:
             last_exit=outcome["exit_code"],
             detail=detail,
         )
+
+    def _compute_fence_left_s(self) -> float:
+        """Compute the seconds until the task fences itself unless a request comes."""
+        last = max(self.begun, heartbeat.read_last_heartbeat(self.identity["host"]))
+        return self.fence_s - (proc.read_uptime_s() - last)
 
     def _end_tree(self, steps: "Sequence[tuple[str, str, float]]", *, forced: bool = False) -> "list[int]":
         """Signal all below this process, step by step and finally with KILL, until nothing is left.
