@@ -192,6 +192,7 @@ Ready:        'rosnode info /slam' on host within 20s
 Restart:      on-failure
 Stop:         TERM, then KILL after 20s
 Handoff:      stop-first; safe when 'at-rest' on robot within 5.0s; within 30s; save 'map save' on host within 20s; load 'map load' on host within 20s
+State:        save 'map save' while inactive; load 'map load'
 Unreachable:  hold; stops itself after 1m00s
 Environment:  API_KEY=***, MODE=fast
 Placed:       edge1 since 2025-11-21T01:49:00Z
