@@ -47,7 +47,6 @@ def validate_command(
     Examples:
         edgectl validate
         edgectl validate -i inventories/local.yaml -t tasks/demo.yaml
-        edgectl validate -o json
         edgectl validate -o github
         edgectl validate -o gitlab
     """

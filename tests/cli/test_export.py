@@ -266,7 +266,7 @@ def test_a_row_that_cannot_be_read_is_said_and_no_file_is_replaced(
 def test_a_fleet_without_a_history_has_no_rows(site: Path, state: Path, run: Run) -> None:
     assert run("export", "csv", "handoffs") == (
         0,
-        "at,task,host,previous_host,outcome,downtime_s,duration_s\n",
+        "at,task,host,previous_host,outcome,downtime_s,duration_s,gap_s\n",
         "",
     )
     assert run("export", "jsonl", "handoffs") == (0, "", "")

@@ -101,10 +101,12 @@ def listen(address: str, server: socket.socket | None = None) -> Iterator[Subscr
 
 
 def list_gaps_ms(messages: Sequence[Message]) -> list[float]:
-    """The silence at each change of the sender: from the last of the old to the first of the new one."""
+    """The silence at each change of the sender: from the last of the old to the first of the new one; 0 where
+    the last of the old one came later, on its own connection.
+    """
     return [
-        (second.heard_ns - first.heard_ns) / 1e6
-        for first, second in pairwise(messages)
+        max(0, second.heard_ns - first.heard_ns) / 1e6
+        for first, second in pairwise(_order_by_sending(messages))
         if first.sender != second.sender
     ]
 
@@ -113,6 +115,9 @@ def count_overlaps(messages: Sequence[Message], moves: int) -> int:
     """How often two senders were active at once: changes of the sender, by the time of sending, beyond one
     for each move.
     """
-    ordered = sorted(messages, key=lambda message: message.sent_ns)
-    changes = sum(first.sender != second.sender for first, second in pairwise(ordered))
+    changes = sum(first.sender != second.sender for first, second in pairwise(_order_by_sending(messages)))
     return changes - moves
+
+
+def _order_by_sending(messages: Sequence[Message]) -> list[Message]:
+    return sorted(messages, key=lambda message: message.sent_ns)

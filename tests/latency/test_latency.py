@@ -41,5 +41,6 @@ def test_the_faster_link_is_chosen_for_the_deadline_and_keeps_it_more_often(benc
     late = []
     for link in (SLOW, FAST):
         bench.shape(link)
-        late.append(bench.measure(frame, 0.0, 1.0, jobs=20, think=0.05).percentile_ms(0.5))
+        # The least disturbed ones: what the tests beside this one take is no matter of the link.
+        late.append(bench.measure(frame, 0.0, 1.0, jobs=20, think=0.05).percentile_ms(0.1))
     assert late[1] < late[0]
