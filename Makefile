@@ -52,8 +52,10 @@ ros-whole: setup
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.ros.moves
 
 # Gap and overlaps of warm moves between computers in network namespaces (root): docs/concepts/handoff.md.
+# make handoffs NODE=ros2 moves a lifecycle node of ROS 2, of which make ros runs a short form.
 handoffs: setup
-	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.handoffs --moves $(or $(MOVES),200)
+	@$(if $(filter ros2,$(NODE)),.ci/need-ros)
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.handoffs --node $(or $(NODE),tcp) --moves $(or $(MOVES),200)
 
 # Byte counters against interfaces for ten mixes of TCP, Fast DDS and Cyclone DDS: the table of docs/performance.md. Some minutes.
 # A short form runs in the suite.

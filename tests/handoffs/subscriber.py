@@ -23,10 +23,10 @@ class Message:
 
 @dataclass
 class Subscriber:
-    """``address``, ``port``: where it listens. ``messages``: in the order in which they came."""
+    """``address``, ``port``: where it listens, if at one place. ``messages``: in the order in which they came."""
 
-    address: str
-    port: int
+    address: str = ""
+    port: int = 0
     messages: list[Message] = field(default_factory=list)
     guard: threading.Lock = field(default_factory=threading.Lock)
 
@@ -46,6 +46,13 @@ class Subscriber:
             assert time.monotonic() < deadline, f"no message of {sender}"
             time.sleep(0.01)
 
+    def add(self, lines: Sequence[str], heard_ns: int) -> None:
+        """Note messages: the sender, its number of the message, and when it was sent."""
+        with self.guard:
+            for line in lines:
+                sender, number, sent = line.split()
+                self.messages.append(Message(sender, int(number), int(sent), heard_ns))
+
     def hear(self, peer: socket.socket) -> None:
         with peer:
             self._hear_until_end(peer)
@@ -55,10 +62,7 @@ class Subscriber:
         while data := _receive(peer):
             now = time.monotonic_ns()
             *lines, rest = (rest + data).split(b"\n")
-            with self.guard:
-                for line in lines:
-                    sender, number, sent = line.decode().split()
-                    self.messages.append(Message(sender, int(number), int(sent), now))
+            self.add([line.decode() for line in lines], now)
 
 
 def _receive(peer: socket.socket) -> bytes:
