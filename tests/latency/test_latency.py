@@ -12,6 +12,7 @@ from edgectl.model.predicted_latency import ServiceTime
 from tests.latency.bench import Bench, Frame, Link, Site, build_task, decide, make_benches
 from tests.latency.tables import FAST, PERIOD_S, SLOW, measure_rows
 from tests.network_hosts import find_missing_for_counters
+from tests.pace import patience
 
 pytestmark = pytest.mark.skipif(bool(find_missing_for_counters()), reason=find_missing_for_counters() or "-")
 SMALL = Frame(width=176, height=132)
@@ -29,7 +30,9 @@ def test_a_slow_link_is_predicted_and_measured(bench: Bench) -> None:
     [row] = measure_rows(bench, jobs=20, cases=[(SMALL, Link(rate=2e6), 0.0)])
     assert row.predicted.transfer_ms == pytest.approx(97.0 + 4.4, abs=6.0)
     assert row.measured.percentile_ms(0.50) >= 0.9 * row.predicted.transfer_ms
-    assert 0.5 <= row.predicted.p50_ms / row.measured.percentile_ms(0.50) <= 1.25
+    # The service time was measured a moment before, which on a busy machine may have been a bad one.
+    busy_s = patience(0.03)
+    assert abs(row.predicted.p50_ms / 1e3 - row.measured.percentile_ms(0.50) / 1e3) <= busy_s
 
 
 def test_the_faster_link_is_chosen_for_the_deadline_and_keeps_it_more_often(bench: Bench) -> None:
