@@ -46,6 +46,7 @@ from edgectl.model.snapshot import (
     TaskSample,
     TaskState,
     TrafficSource,
+    UsageTotals,
 )
 from edgectl.model.standby_plan import StandbyAction, StandbyReason, StandbyStep
 
@@ -87,6 +88,7 @@ HOST = HostSample(
     role=Role.ROBOT, status=HostStatus.UNREACHABLE, error="e", error_kind="k", hint="h", sample_age_s=1.5, resident=True, usage={"cpu": CPU_USE, "memory": MEMORY_USE},
     links={"r": LINK}, tasks={"t": TASK}, standbys={"s": TASK}, device=DEVICE, generations={"t": 9},
     other_tasks=(OTHER,), foreign_tasks=(OTHER,), address="a", machine="m", grant=4, foreign_grant=3, foreign_hosts=("x",), counters="installed",
+    totals=UsageTotals(cpu_s=1.5, network_bytes=2.5, tasks={"i": 0.5}),
 )  # fmt: skip
 PLACEMENT = Placement(
     host="h",
