@@ -89,7 +89,8 @@ WeightsOption = Annotated[
     Option("--weights", "-W", metavar="WEIGHTS", help="cpu, memory, network, task, all, or cpu=.5,task=1."),
 ]
 PolicyOption = Annotated[
-    PolicyName | None, Option("--policy", metavar="NAME", help="utility, paper, static or local.")
+    PolicyName | None,
+    Option("--policy", metavar="NAME", help="utility, static, local, least-loaded, pack, random, .."),
 ]
 BestEffortOption = Annotated[bool, Option("--best-effort", help="Place a task even where it does not fit.")]
 PruneOption = Annotated[bool, Option("--prune", help="Also stop the tasks of other task files.")]

@@ -2,6 +2,7 @@
 
 import random
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 
 from edgectl.experiments.model.comparison import SchemeResult
@@ -11,6 +12,9 @@ from edgectl.experiments.scheme_results import summarize_sim_runs
 from edgectl.experiments.simulator import simulate_mission
 from edgectl.model.inventory import Inventory
 from edgectl.model.task import Tasks
+
+# No two runs of two seeds place at random alike.
+_MAX_RUNS = 1000
 
 
 def simulate_schemes(
@@ -26,7 +30,13 @@ def simulate_schemes(
     for scheme in schemes:
         generators = (random.Random(f"{seed}/{run}") for run in range(runs))  # noqa: S311 - not for security
         sim_runs = [
-            simulate_mission(inventory, tasks, scenario, scheme.policy, partial(each.gauss, 0.0, 1.0))
-            for each in generators
+            simulate_mission(
+                inventory,
+                tasks,
+                scenario,
+                replace(scheme.policy, seed=_MAX_RUNS * seed + run),
+                partial(each.gauss, 0.0, 1.0),
+            )
+            for run, each in enumerate(generators)
         ]
         yield summarize_sim_runs(inventory, scheme, sim_runs)

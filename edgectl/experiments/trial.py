@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from edgectl.errors import EdgectlError, FleetBusyError
@@ -72,7 +72,7 @@ def run_trial(
         apply=True,
         debug=options.debug,
         probe=ProbeOptions(window=window, timeout=_TRIAL_PROBE_TIMEOUT_S, totals=True),
-        policy=lambda _: scheme.policy,
+        policy=lambda _: replace(scheme.policy, seed=repetition),
         execution=ApplyOptions(progress=lambda event: recorder.record_progress(event, trial_fleet.clock())),
         control=options.control,
     )

@@ -72,7 +72,7 @@ def _assign(
     solve: Solver | None,
 ) -> Assignment:
     rules = POLICIES[policy.name]
-    used = replace(policy, weights=policy.weights.normalised())
+    used = replace(policy, weights=(rules.weights or policy.weights).normalised())
     fleet = add_measured_demands(build_capacities(inventory, snapshot, manager, used.without), tasks, manager)
     state = build_initial_state(tasks, manager, fleet, now, used)
     if not rules.strict_paper:
@@ -89,6 +89,7 @@ def _assign(
         first=_select_first_placements(manager, state),
         handoffs=collect_handoff_history(manager),
         placement_rules=build_placement_rules(order, fleet, state) if rules.settles else NO_RULES,
+        turns={} if rules.settles else {task.name: turn for turn, task in enumerate(order)},
     )
     how = PlacementPass(
         context=context,

@@ -115,7 +115,7 @@ WEIGHTS = Weights({name: 0.1 * place for place, name in enumerate(TERM_NAMES, 1)
 POLICY = Policy(
     name=PolicyName.PAPER, weights=WEIGHTS, sequence=SequenceRule.SENSITIVITY, move_margin=0.2, min_dwell=3.0, max_moves=None, attended=False,
     best_effort=True, full=True, without=frozenset({"h"}), prune=True, rebalance=True, optimal=True,
-    prefer=Preference.PACK,
+    prefer=Preference.PACK, seed=7,
 )  # fmt: skip
 REJECTION = Rejection(
     rule=RejectionRule.INSUFFICIENT,
