@@ -59,7 +59,7 @@ def _make_init(cls: type[Any]) -> Method:
         nonlocal made
         made += 1
         if made == COMPILE_AFTER:
-            cls.__init__ = _compile_init(cls)  # type: ignore[misc]
+            cls.__init__ = _compile_init(cls)
         if len(values) != count:
             values = defaults | values
             for name, make in factories:

@@ -135,6 +135,7 @@ def _run_job(
     del state.working[job.name]
     ends[job.name] = state.env.now
     state.left[job.task] -= 1
+    state.samples.clear()
     if state.scenario.links or state.scenario.events:
         integrate_loads(state)
         state.done.add(job.name)
