@@ -173,6 +173,7 @@ NOT_IN_THE_SAMPLES = {
     "retries_per_s", "access_point", "joined_s", "counters",
     "latency", "count", "misses", "bound_ms", "p50_ms", "p95_ms", "p99_ms", "max_ms", "recent_s", "recent_count", "recent_misses",
     "object", "type", "speed_bytes_per_s", "resident", "user", "hold", "release", "proxy_jump", "cut_off_from",
+    "pinned_at", "pinned_until",
 }  # fmt: skip
 
 
