@@ -43,6 +43,7 @@ from edgectl.config.schema import (
     build_mapping_schema,
     build_object_schema,
     describe_as,
+    get_reader_schema,
 )
 from edgectl.formats.digest import digest_inventory
 from edgectl.model.inventory import BaseLoad, Capacity, Connection, Host, Inventory, Limits, Role, Runtime
@@ -117,6 +118,7 @@ def _read_address(node: Node, problems: Problems) -> Any:  # noqa: ANN401
 
 DEFAULTS_KEYS: Mapping[str, NodeReader] = {
     "connection": enum_reader(Connection),
+    "transport": read_name,
     "port": integer_reader(1, 65535),
     "user": address_reader(),
     "identity_file": read_text,
@@ -149,6 +151,7 @@ INVENTORY_KEYS: Mapping[str, NodeReader] = {
     "fleet": read_name,
     "probe_links": read_bool,
     "coordination": read_coordination,
+    "on_event": keep_node,
     "defaults": keep_node,
     "edges": keep_node,
     "robots": keep_node,
@@ -158,9 +161,12 @@ INVENTORY_KEYS: Mapping[str, NodeReader] = {
 
 def build_inventory_schema() -> Schema:
     """JSON Schema of an inventory file."""
+    from edgectl.config.event_hooks import read_event_hooks
+
     schema = build_object_schema(
         INVENTORY_KEYS,
         ("version",),
+        on_event=get_reader_schema(read_event_hooks),
         defaults=build_object_schema(DEFAULTS_KEYS),
         edges=build_mapping_schema(NAME_PATTERN.pattern, build_object_schema(EDGE_KEYS)),
         robots=build_mapping_schema(NAME_PATTERN.pattern, build_object_schema(ROBOT_KEYS)),
@@ -214,6 +220,7 @@ def read_inventory(node: Node, problems: Problems) -> Inventory:
         is_fleet_named="fleet" in top.values,
         probe_links=top.values.get("probe_links", True),
         coordination=top.values.get("coordination"),
+        on_event=_read_on_event(top.at("on_event"), problems) if "on_event" in top else (),
     )
     # The digest is of the file alone: no path and no home of a user may change it.
     return replace(
@@ -221,6 +228,13 @@ def read_inventory(node: Node, problems: Problems) -> Inventory:
         hosts={key: replace(_expand_identity_file(host), fleet=fleet) for key, host in ordered.items()},
         digest=digest_inventory(stated),
     )
+
+
+def _read_on_event(node: Node, problems: Problems) -> Any:  # noqa: ANN401 - of event_hooks, which few need
+    from edgectl.config.event_hooks import read_event_hooks
+
+    hooks = read_event_hooks(node, problems)
+    return () if hooks is INVALID else hooks
 
 
 def _read_defaults(node: Node, problems: Problems) -> Mapping[str, Any]:
