@@ -102,6 +102,8 @@ def split_global_options(words: Sequence[str]) -> tuple[list[str], list[str]]:
         else:
             others.append(word)
     return own, others
+
+
 def expand_shorthand(words: Sequence[str]) -> list[str]:
     """Expand the calls that have no command of their own.
 

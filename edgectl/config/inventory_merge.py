@@ -18,7 +18,9 @@ from edgectl.config.node import Node
 from edgectl.config.problems import Mark, ProblemCode, Problems
 from edgectl.config.ros_rules import check_host_addresses
 from edgectl.config.ros_settings import resolve_master
+from edgectl.config.scalars import INVALID
 from edgectl.formats.digest import digest_inventory
+from edgectl.model.event import EventHook
 from edgectl.model.inventory import Host, Inventory, Role
 from edgectl.names import natural_key
 
@@ -68,6 +70,7 @@ def read_inventories(nodes: Sequence[Node], problems: Problems) -> Inventory:
         is_fleet_named="fleet" in stated,
         probe_links=stated.get("probe_links", True),
         coordination=stated.get("coordination"),
+        on_event=_read_on_event(files, problems),
     )
     # The digest is of the files alone: no path and no home of a user may change it.
     return replace(
@@ -112,6 +115,18 @@ def _merge_fleet_keys(files: Sequence[Fields], problems: Problems) -> dict[str, 
             stated.setdefault(key, top.values[key])
             first.setdefault(key, top.node.key_mark(key))
     return stated
+
+
+def _read_on_event(files: Sequence[Fields], problems: Problems) -> tuple[EventHook, ...]:
+    """The programs of all files. Those of several files stand in an order that is not that of the files."""
+    nodes = [top.at("on_event") for top in files if "on_event" in top]
+    if not nodes:
+        return ()
+    from edgectl.config.event_hooks import read_event_hooks
+
+    read = [read_event_hooks(node, problems) for node in nodes]
+    hooks = tuple(hook for each in read if each is not INVALID for hook in each)
+    return hooks if len(nodes) == 1 else tuple(sorted(hooks, key=repr))
 
 
 def _check_fleet_name(files: Sequence[Fields], fleet: str, problems: Problems) -> None:

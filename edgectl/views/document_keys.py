@@ -48,6 +48,7 @@ LIST_KEYS: KeysByName = {
     "context": ("context", "chosen", "inventories", "task_files", "origin"),
     "edge": _HOST,
     "event": _EVENT,
+    "hook": ("program", "outcome", "duration_s", "message"),
     "finding": ("host", "check", "level", "message", "hint"),
     "host-usage": (*_HOST, "history"),
     "host-key": ("host", "key_type", "fingerprint", "state", "error", "hint"),
