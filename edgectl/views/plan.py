@@ -9,6 +9,7 @@ from edgectl.model.assignment import RankedHost
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Weights
 from edgectl.model.resource import TERMS
+from edgectl.model.task import Tasks
 from edgectl.views.demands import render_demands, render_reservations
 from edgectl.views.glossary import head, list_shown_weights
 from edgectl.views.output import View
@@ -24,6 +25,7 @@ from edgectl.views.plan_sections import (
 )
 from edgectl.views.reasons import describe_reason, describe_rejection, is_left_out
 from edgectl.views.standbys import render_standby_rows
+from edgectl.views.taken_along import LastMoves, render_taken_along
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, escape_unprintable, render_columns
 
 # A CI job finds its comment by it, and edits that instead of adding one.
@@ -40,8 +42,9 @@ class PlanView(View):
 
     formats = PLAN_FORMATS
 
-    def __init__(self, plan: Plan) -> None:
-        self._plan = plan
+    def __init__(self, plan: Plan, tasks: Tasks | None = None, carried: LastMoves | None = None) -> None:
+        """``tasks`` state what moves take along; ``carried``: by task, the last move that did."""
+        self._plan, self._tasks, self._carried = plan, tasks, carried or {}
 
     def table(self, look: RenderOptions = PLAIN) -> str:
         """The changes with their reasons, the load that is expected afterwards, and a line that counts."""
@@ -57,7 +60,7 @@ class PlanView(View):
         )
 
     def wide(self, look: RenderOptions = PLAIN) -> str:
-        """The table with every candidate of every task, and the demands."""
+        """The table with every candidate of every task, the demands, and what moves take along."""
         steps = self._plan.steps
         weights = self._plan.policy.weights
         rows = [
@@ -69,6 +72,7 @@ class PlanView(View):
             render_columns(rows, look, right=_TERM_COLUMNS, wrap={1, 2}) if steps else "",
             render_demands(self._plan, look),
             render_reservations(self._plan, look),
+            "" if self._tasks is None else render_taken_along(self._plan, self._tasks, self._carried, look),
             render_expected_load(self._plan, look),
             render_plan_summary(self._plan, look),
         )

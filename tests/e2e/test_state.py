@@ -25,7 +25,7 @@ from edgectl.state.journal_reader import read_journal
 from edgectl.units import format_duration
 from edgectl.usecases.apply import ApplyOptions, plan_and_apply
 from edgectl.usecases.events import EventFilter, list_events
-from edgectl.usecases.history import list_revisions
+from edgectl.usecases.history import find_last_carries, list_revisions
 from tests.builders import a_task, an_edge, an_inventory
 from tests.e2e import memory_task
 from tests.e2e.bench import EAGER, GENTLE, QUICK, Bench, a_local, open_bench
@@ -132,6 +132,8 @@ def test_stop_first_takes_the_memory_along(scene: Scene) -> None:
     assert past is not None
     assert (past.size_bytes, past.sha256, past.host) == (kept.size_bytes, kept.sha256, kept.host)
     assert past.age_s == pytest.approx(kept.age_s, abs=1e-3)
+    last = find_last_carries(fleet)["keeper"]
+    assert (last.previous_host, last.located, last.state) == (old, result.located, past)
     said = list_events(fleet, EventFilter(task="keeper"))[-1].message
     assert f"state of {kept.size_bytes}B" in said
     assert f"state {format_duration(kept.age_s)} old" in said
@@ -445,8 +447,7 @@ def test_a_task_without_an_active_instance_starts_also_where_its_memory_cannot_c
     task = a_warm(scene)
     old = scene.running(task)
     die_in_a_warm_move(scene, task, old, "deactivate acknowledged")
-    assert task.state is not None
-    broken = replace(task, state=replace(task.state, **{failing: Check(command="exit 9", timeout=2.0)}))
+    broken = a_warm(scene, **{failing: Check(command="exit 9", timeout=2.0)})
     result = scene.apply(exclude_host(broken, old))
     assert result is not None
     new = ({"edge1", "edge2"} - {old}).pop()
