@@ -99,42 +99,38 @@ class ExplanationView(ItemView):
         """The explanation as JSON types; ``flips`` smallest first."""
         step, value = self._step, self._explanation
         decision = value.decision
-        return (
-            {
-                "task": step.task,
-                "action": step.action.value,
-                "reason": describe_reason(step),
-                "host": decision.host,
-                "previous_host": decision.previous_host,
-                "runner_up": value.runner_up,
-                "standbys": encode_standby_steps(step),
-                "total": decision.total,
-                "lead": decision.lead,
-                "slack": value.slack,
-                "noise": value.noise,
-                "fragile": value.fragile,
-                "pinned_to": value.pin,
-                "equal_hosts": [] if value.tie is None else list(value.tie.hosts),
-                "tie_rule": None if value.tie is None else value.tie.rule.value,
-                "contributions": [
-                    {
-                        "term": each.term,
-                        "weight": each.weight,
-                        "here": each.here,
-                        "there": each.there,
-                        "adds": each.lead,
-                    }
-                    for each in value.contributions
-                ],
-                "flips": [_encode_flip(flip) for flip in value.flips],
-            }
-            | self._encode_carried()
-            | encode_latencies(value)
-        )
-
-    def _encode_carried(self) -> Document:
+        document: Document = {
+            "task": step.task,
+            "action": step.action.value,
+            "reason": describe_reason(step),
+            "host": decision.host,
+            "previous_host": decision.previous_host,
+            "runner_up": value.runner_up,
+            "standbys": encode_standby_steps(step),
+            "total": decision.total,
+            "lead": decision.lead,
+            "slack": value.slack,
+            "noise": value.noise,
+            "fragile": value.fragile,
+            "pinned_to": value.pin or _find_pinned_host(decision),
+            "equal_hosts": [] if value.tie is None else list(value.tie.hosts),
+            "tie_rule": None if value.tie is None else value.tie.rule.value,
+            "contributions": [
+                {
+                    "term": each.term,
+                    "weight": each.weight,
+                    "here": each.here,
+                    "there": each.there,
+                    "adds": each.lead,
+                }
+                for each in value.contributions
+            ],
+            "flips": [_encode_flip(flip) for flip in value.flips],
+        }
         moved = self._carried
-        return {} if moved is None or moved.state is None else {"carried": encode_carried_state(moved.state)}
+        if moved is not None and moved.state is not None:
+            document["carried"] = encode_carried_state(moved.state)
+        return document | encode_latencies(value)
 
 
 def _render_contributions(value: Explanation, look: RenderOptions) -> str:
@@ -171,8 +167,9 @@ def _list_sentences(value: Explanation, *, every: bool, complete: bool) -> Itera
     flips = value.flips if every else _select_smallest_flips(value.flips)
     if value.tie is not None:
         yield _describe_tie(value.tie)
-    if value.pin is not None:
-        yield f"Its task file pins it to {value.pin}: no load and no weight sends it anywhere else."
+    pinned = value.pin or _find_pinned_host(value.decision)
+    if pinned is not None:
+        yield _describe_pin(value, pinned)
     yield from _describe_rules_between_tasks(value.decision)
     for flip in flips:
         outcome = _describe_flip_outcome(flip, value.decision)
@@ -182,7 +179,7 @@ def _list_sentences(value: Explanation, *, every: bool, complete: bool) -> Itera
     if value.decision.host is not None and not value.contributions:
         among = "" if complete else " of those that answer"
         yield f"No other host{among} fits (edgectl plan -o wide shows what each lacks)."
-    if not value.flips and value.pin is None:
+    if not value.flips and pinned is None:
         yield _NO_CHANGE_FOUND if value.weighed else _NOT_BY_TOTALS
     if value.bends:
         yield "Changes of loads are left out: the predicted latency counts, which is not linear in them."
@@ -196,6 +193,18 @@ def _list_sentences(value: Explanation, *, every: bool, complete: bool) -> Itera
             f"fragile: it would change {value.slack:.3f} below, "
             f"and the measurements alone vary by {value.noise:.3f}."
         )
+
+
+def _describe_pin(value: Explanation, host: str) -> str:
+    alone = "no load and no weight sends it anywhere else"
+    if value.pin is not None:
+        return f"Its task file pins it to {host}: {alone}."
+    return f"edgectl move pinned it to {host}: {alone} (edgectl unpin {value.decision.task})."
+
+
+def _find_pinned_host(decision: Decision) -> str | None:
+    """The host that an operator has pinned the task to, where that counts."""
+    return decision.pin.host if decision.pin is not None and decision.pin.set_aside is None else None
 
 
 def _select_smallest_flips(flips: Iterable[Flip]) -> list[Flip]:

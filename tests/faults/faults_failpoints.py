@@ -62,7 +62,7 @@ def kill_at_failpoint(fleet: FaultFleet, words: tuple[str, ...], at: int) -> Non
     fleet.kill_at = None
     if died.code == -signal.SIGKILL:
         fleet.injected += 1
-    elif died.code or len(failpoint_runner.read_failpoints(fleet.failpoint_log)) < 0.8 * at - 3:
+    elif died.code or len(failpoint_runner.read_failpoints(fleet.failpoint_log)) < at / 2:
         raise ExpectationError(
             f"did not reach point {at}: {failpoint_runner.read_failpoints(fleet.failpoint_log)}, {died}"
         )
