@@ -314,7 +314,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
     },
     KeyType.OBJECT: {
         **{resource.name: f"usage, demand and capacity of {resource.name}" for resource in RESOURCES},
-        "carried": "state that a move, or of a task its last move, took along; absent: none",
+        "carried": "state that a move took along; absent: none",
         "decision": "decision of a plan made now",
         "moves_first": "move of another task that a change brings about before the one it is about",
         "declared": "declaration of a demand in a task file",

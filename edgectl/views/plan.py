@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from edgectl.formats.document import Document
 from edgectl.formats.kinds import PLAN_KIND
@@ -25,8 +26,10 @@ from edgectl.views.plan_sections import (
 )
 from edgectl.views.reasons import describe_reason, describe_rejection, is_left_out
 from edgectl.views.standbys import render_standby_rows
-from edgectl.views.taken_along import LastMoves, render_taken_along
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, escape_unprintable, render_columns
+
+if TYPE_CHECKING:
+    from edgectl.views.taken_along import LastMoves
 
 # A CI job finds its comment by it, and edits that instead of adding one.
 PLAN_COMMENT_MARKER = "<!-- edgectl-plan -->"
@@ -42,7 +45,7 @@ class PlanView(View):
 
     formats = PLAN_FORMATS
 
-    def __init__(self, plan: Plan, tasks: Tasks | None = None, carried: LastMoves | None = None) -> None:
+    def __init__(self, plan: Plan, tasks: Tasks | None = None, carried: "LastMoves | None" = None) -> None:
         """``tasks`` state what moves take along; ``carried``: by task, the last move that did."""
         self._plan, self._tasks, self._carried = plan, tasks, carried or {}
 
@@ -72,10 +75,17 @@ class PlanView(View):
             render_columns(rows, look, right=_TERM_COLUMNS, wrap={1, 2}) if steps else "",
             render_demands(self._plan, look),
             render_reservations(self._plan, look),
-            "" if self._tasks is None else render_taken_along(self._plan, self._tasks, self._carried, look),
+            self._render_taken_along(look),
             render_expected_load(self._plan, look),
             render_plan_summary(self._plan, look),
         )
+
+    def _render_taken_along(self, look: RenderOptions) -> str:
+        if self._tasks is None:
+            return ""
+        from edgectl.views.taken_along import render_taken_along
+
+        return render_taken_along(self._plan, self._tasks, self._carried, look)
 
     def notes(self) -> Sequence[str]:
         """Notes on hosts, deferred tasks and demands."""
