@@ -36,6 +36,7 @@ def explain_command(
     from edgectl.cli.policy_options import policy_from_options
     from edgectl.config.documents import load_snapshot
     from edgectl.usecases.explain import compute_noise_by_host, explain_placement
+    from edgectl.usecases.history import find_last_carries
     from edgectl.usecases.plan import is_what_if, make_plan
     from edgectl.views.explanation import ExplanationView
     from edgectl.views.plan_sections import list_lost_task_notes, list_slack_notes, list_unreachable_notes
@@ -53,8 +54,16 @@ def explain_command(
     )
     found = explain_placement(fleet, made, task, None if snapshot else compute_noise_by_host(fleet))
     step = next(step for step in made.steps if step.task == task)
-    console.print_view(
-        ExplanationView(step, found, list_unreachable_notes(made.snapshot), made.snapshot.manager), output
+    stated = loaded.tasks.tasks[task]
+    carried = find_last_carries(fleet).get(task) if stated.state is not None and not snapshot else None
+    view = ExplanationView(
+        step,
+        found,
+        list_unreachable_notes(made.snapshot),
+        made.snapshot.manager,
+        task=stated,
+        carried=carried,
     )
+    console.print_view(view, output)
     console.print_notes(list_lost_task_notes(made.snapshot, {task}) + list_slack_notes(made, {task}))
     raise Exit(exit_codes.of_plan(made, detailed=False, allow_unreachable=allow_unreachable))

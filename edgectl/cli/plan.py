@@ -48,7 +48,13 @@ def plan_command(
             recorded=not is_what_if(fleet, how),
         )
     )
-    view = PlanView(result)
+    stateful = any(task.state is not None for task in loaded.tasks.tasks.values())
+    if output is OutputFormat.WIDE and stateful and not snapshot:
+        from edgectl.usecases.history import find_last_carries
+
+        view = PlanView(result, loaded.tasks, find_last_carries(fleet))
+    else:
+        view = PlanView(result, loaded.tasks)
     if out is not None:
         save_file(out, render_view(view, OutputFormat.JSON))
         console.print_message(f"saved {out}; apply it with: edgectl apply {out}")

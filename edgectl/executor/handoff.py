@@ -112,6 +112,28 @@ def start_instance(
         perform_phases(act, build_run_phases(task, host, act.run.inventory), variables)
 
 
+def inherit_state(act: StepRun, task: Task, planned: StartPhases, host: str) -> PlannedPhases:
+    """Bring the state that an interrupted move has left to ``host``; the phases that start the task then.
+
+    Where that fails, it starts without: nobody serves meanwhile. A copy that has taken in a part of the state
+    is started anew.
+
+    Raises:
+        HostError: that copy does not stop.
+    """
+    try:
+        perform_phases(act, planned.carry)
+    except HostError:
+        act.begin_recovery()
+        loaded = act.phases[-1].phase is Phase.LOAD
+        if not loaded and planned.change[0].phase is Phase.ACTIVATE:
+            return planned.change
+        if loaded:
+            perform_phase(act, build_stop_phase(act.name, task, host, act.run.inventory, instance=None))
+        return build_run_phases(task, host, act.run.inventory)
+    return planned.change
+
+
 def _judge_preparation(act: StepRun) -> Outcome:
     """A copy that does not get ready is a failure; what else keeps a move from beginning may pass."""
     failed = bool(act.phases) and act.phases[-1].phase is Phase.STANDBY

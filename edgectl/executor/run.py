@@ -20,15 +20,17 @@ from edgectl.executor.dependencies import (
     is_replacement,
     list_stop_hosts,
 )
-from edgectl.executor.handoff import move_task, replace_task, start_instance
+from edgectl.executor.handoff import inherit_state, move_task, replace_task, start_instance
 from edgectl.executor.phases import perform_phases, resolve_variables
 from edgectl.executor.standby_run import (
     build_copy_dependencies,
     end_copy_step,
     list_copy_steps,
+    list_source_keys,
     perform_copy_step,
 )
 from edgectl.executor.start_phases import StartPhases, build_start_phases
+from edgectl.executor.state_transfer import drop_state
 from edgectl.executor.step_run import RunContext, RunIdentity, RunOptions, StepRun
 from edgectl.executor.stop_budget import BudgetSpentError, StopBudget
 from edgectl.executor.worker_pool import WorkerPool
@@ -171,7 +173,8 @@ def _run_steps(
 
     groups = {key: _list_first_hosts(acts[name].step)[0] for key, name in halting.items()}
     starts = {name: acts[name].step for name in waits}
-    found = workers.run_all(build_copy_dependencies(copies, after, starts), work, skip, groups)
+    sources = list_source_keys(shared.plan, shared.tasks)
+    found = workers.run_all(build_copy_dependencies(copies, after, starts, sources), work, skip, groups)
     return _merge_results(found), tuple(ended[key] for key in copies)
 
 
@@ -284,12 +287,16 @@ def _start_new_task(act: StepRun, task: Task, planned: StartPhases, host: str) -
     try:
         perform_phases(act, planned.prepare)
         variables = resolve_variables(act, task, host)
+        change = inherit_state(act, task, planned, host)
         located = host
-        start_instance(act, task, planned.change, host, variables)
+        start_instance(act, task, change, host, variables)
     except RefusedError as error:
+        drop_state(act)
         return act.end(Outcome.FAILED, located=None, error=error)
     except HostError as error:
+        drop_state(act)
         return act.end(Outcome.FAILED, located=located, error=error)
+    drop_state(act)
     return act.end(Outcome.DONE, located=host)
 
 

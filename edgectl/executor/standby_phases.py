@@ -40,6 +40,18 @@ def find_usable_standby(plan: Plan, task: Task, host: str) -> TaskSample | None:
     return copy if usable else None
 
 
+def find_heir_source(plan: Plan, step: Step, task: Task) -> tuple[str, TaskSample] | None:
+    """The copy that has the state of a task that is active nowhere and starts on another host: the one that
+    was active last, where a move was interrupted. None for a task without state.
+    """
+    if task.state is None or step.action is not Action.START or step.decision.previous_host is not None:
+        return None
+    copies = ((host, find_usable_standby(plan, task, host)) for host in plan.snapshot.hosts)
+    found = [(host, copy) for host, copy in copies if copy is not None and copy.deactivated]
+    source = max(found, key=lambda each: each[1].deactivated, default=None)
+    return source if source is not None and source[0] != step.decision.host else None
+
+
 def is_warm_move(step: Step, task: Task, plan: Plan) -> bool:
     """Whether the task moves by activation: it can be made inactive where it runs, as the present spec says.
 

@@ -5,13 +5,15 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 
 from edgectl.errors import HostError, StateError
+from edgectl.executor.dependencies import STARTING_ACTIONS
 from edgectl.executor.phases import perform_phases
-from edgectl.executor.standby_phases import build_copy_phases
+from edgectl.executor.standby_phases import build_copy_phases, find_heir_source
 from edgectl.executor.step_run import RunContext, StepRun
-from edgectl.model.plan import Step
+from edgectl.model.plan import Plan, Step
 from edgectl.model.progress import ignore_progress
 from edgectl.model.result import ActionResult, Outcome, StandbyResult
 from edgectl.model.standby_plan import StandbyAction, StandbyStep
+from edgectl.model.task import Tasks
 
 CopySteps = Mapping[str, tuple[Step, StandbyStep]]
 
@@ -25,26 +27,46 @@ def _name_copy_steps(steps: Iterable[Step]) -> Iterator[tuple[str, tuple[Step, S
     for step in steps:
         for copy in step.standbys:
             if copy.action.changes and copy.host is not None:
-                yield f"{step.task} copy {copy.host}", (step, copy)
+                yield _name_copy(step.task, copy.host), (step, copy)
+
+
+def list_source_keys(plan: Plan, tasks: Tasks) -> frozenset[str]:
+    """The copies, by their names in `list_copy_steps`, from which a task that starts gets its state."""
+    found = (
+        (step.task, find_heir_source(plan, step, task))
+        for step in plan.steps
+        if (task := tasks.tasks.get(step.task)) is not None
+    )
+    return frozenset(_name_copy(name, source[0]) for name, source in found if source is not None)
+
+
+def _name_copy(task: str, host: str) -> str:
+    return f"{task} copy {host}"
 
 
 def build_copy_dependencies(
-    copies: CopySteps, after: Mapping[str, frozenset[str]], starts: Mapping[str, Step]
+    copies: CopySteps,
+    after: Mapping[str, frozenset[str]],
+    starts: Mapping[str, Step],
+    sources: frozenset[str] = frozenset(),
 ) -> dict[str, frozenset[str]]:
     """``after`` with the copies: starts wait for copies that stop for their sake; copies that start wait for
     everything else.
 
-    ``starts``: the steps in ``after`` that start a task, by name.
+    ``starts``: the steps in ``after`` that start a task, by name. ``sources``: copies that stop only after
+    their task, which gets its state from them, has started.
     """
-    stops = {key for key, (_, copy) in copies.items() if copy.action is StandbyAction.STOP}
+    stops = {key for key, (_, copy) in copies.items() if copy.action is StandbyAction.STOP} - sources
     found = {
         name: others | {key for key in stops if _makes_way(copies[key], starts[name])}
         if name in starts
         else others
         for name, others in after.items()
     }
-    everything = frozenset(after) | stops
-    return found | {key: frozenset[str]() if key in stops else everything for key in copies}
+    last = sources & copies.keys()
+    everything = frozenset(after) | stops | last
+    waits = {key: frozenset[str]() if key in stops else everything for key in copies}
+    return found | waits | {key: frozenset({copies[key][0].task}) & starts.keys() for key in last}
 
 
 def _makes_way(stopped: tuple[Step, StandbyStep], start: Step) -> bool:
@@ -55,9 +77,13 @@ def _makes_way(stopped: tuple[Step, StandbyStep], start: Step) -> bool:
 def perform_copy_step(
     run: RunContext, step: Step, copy: StandbyStep, results: Mapping[str, ActionResult]
 ) -> StandbyResult:
-    """Start or stop one copy. ``results``: of the actions on tasks that have ended."""
-    result = results.get(step.task)
-    if copy.action is not StandbyAction.STOP and result is not None and result.outcome is not Outcome.DONE:
+    """Start or stop one copy. ``results``: of the actions on tasks that have ended.
+
+    A copy from which its task should have got its state stays where that has not become active.
+    """
+    result, waits = results.get(step.task), step.action in STARTING_ACTIONS
+    waits = waits or copy.action is not StandbyAction.STOP
+    if waits and result is not None and result.outcome is not Outcome.DONE:
         why = HostError(f"{step.task} is not where the plan has it")
         return end_copy_step(step, copy, Outcome.SKIPPED, why)
     began = time.monotonic()

@@ -21,6 +21,7 @@ from edgectl.executor.standby_phases import (
     build_copy_stop_phases,
     build_standby_phase,
     build_switch_phase,
+    find_heir_source,
     find_usable_standby,
     is_warm_move,
 )
@@ -90,7 +91,10 @@ def build_start_phases(
     replaces = _list_node_addresses(plan, old or "", task.name) if start_first else None
     start = _build_appear_phases(task, new, copy, inventory, replaces=replaces)
     if step.action is Action.START and not is_replacement(step):
-        return StartPhases(needs=waits, prepare=(*prepare, *unusable), change=start)
+        carry = _build_inheritance(step, task, copy, plan, inventory)
+        if carry and copy is None:
+            start = build_carried_run_phases(task, new, inventory)
+        return StartPhases(needs=waits, prepare=(*prepare, *unusable), carry=carry, change=start)
     release = build_hook_phases(Phase.RELEASE, task, task.handoff.release, new, inventory)
     if is_replacement(step):
         hold = build_hook_phases(Phase.HOLD, task, find_replacement_hold(task), new, inventory)
@@ -115,6 +119,20 @@ def build_start_phases(
         change=(*start, stop) if start_first else (stop, *start),
         release=release,
     )
+
+
+def _build_inheritance(
+    step: Step, task: Task, copy: TaskSample | None, plan: Plan, inventory: Inventory
+) -> PlannedPhases:
+    """Bring the state of an interrupted move to the host where the task starts, and into the copy there."""
+    source, new = find_heir_source(plan, step, task), step.decision.host or ""
+    if source is None:
+        return ()
+    host, left = source
+    carry = build_carry_phases(task, host, new, inventory, instance=left.instance)
+    if copy is None:
+        return carry
+    return (*carry, *build_load_phases(task, new, inventory, repeat=False, instance=copy.instance))
 
 
 def _is_start_first(step: Step, task: Task) -> bool:

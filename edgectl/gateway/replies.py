@@ -145,6 +145,7 @@ class TaskReply:
     partial: Text = ""
     role: Text = ""
     switching: bool = False
+    deactivated: Generation = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

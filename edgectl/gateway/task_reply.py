@@ -134,6 +134,7 @@ def _decode_task(name: str, entry: object, answered_at: float) -> TaskSample:
         nodes=reply.nodes,
         partial=reply.partial,
         switching=reply.switching,
+        deactivated=reply.deactivated,
     )
 
 

@@ -122,7 +122,8 @@ class TaskSample:
     ``partial``: what its traffic lacks, as of a link.
     ``latency``: as its rule states it, where there is a value.
     ``orphaned``: it lives without a supervisor; ``adoptable``: a new one can take it over as it is (ADR
-    0041). ``switching``: it is just becoming active or inactive.
+    0041). ``switching``: it is just becoming active or inactive. ``deactivated``: of a copy, the generation
+    with which its process was made inactive, so that it has what the task knew then; 0: it never was active.
     """
 
     state: TaskState
@@ -154,6 +155,7 @@ class TaskSample:
     partial: str = ""
     latency: LatencySample | None = None
     switching: bool = False
+    deactivated: Generation = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -22,14 +22,18 @@ def prefer_standby(choice: Choice, candidates: CandidateSet, state: InitialState
     """``choice``, or the place of a copy if the task ran nowhere before the plan and has room there.
 
     A start takes seconds and an activation milliseconds, and meanwhile the robot has neither: the gap counts
-    more than what another host is better. A copy that is ready comes first, then the greater total.
+    more than what another host is better. A copy that is ready comes first, then of a task with state the
+    one that was active last, which has that state in memory (ADR 122), then the greater total.
     """
     task = candidates.task
     copies = state.standbys.get(task.name, ())
     if choice.place is None or task.standby is None or task.name in state.running:
         return choice
     open_ = {
-        each.place: each.sample.state is TaskState.STARTING
+        each.place: (
+            each.sample.state is TaskState.STARTING,
+            -each.sample.deactivated if task.state is not None else 0,
+        )
         for each in copies
         if each.sample.state.alive
         and is_usable(each.sample, task)

@@ -9,6 +9,7 @@ from edgectl.executor.operator_plans import build_rollback_plan
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy, PolicyName
+from edgectl.model.result import ActionResult, Outcome
 from edgectl.model.revision import Revision
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task, Tasks
@@ -29,6 +30,16 @@ from edgectl.usecases.probe import probe_fleet
 def list_revisions(fleet: Fleet) -> tuple[Revision, ...]:
     """Every revision of the fleet, oldest first."""
     return load_revisions(fleet.state, fleet.warn)
+
+
+def find_last_carries(fleet: Fleet) -> dict[str, ActionResult]:
+    """By task, the last move that loaded its state on another host."""
+    return {
+        action.task: action
+        for revision in list_revisions(fleet)
+        for action in revision.actions
+        if action.state is not None and action.state.host and action.outcome is Outcome.DONE
+    }
 
 
 def get_revision(fleet: Fleet, number: int) -> Revision:

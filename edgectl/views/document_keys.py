@@ -86,7 +86,7 @@ ITEM_KEYS: KeysByName = {
     "explanation": (
         "task", "action", "reason", "host", "previous_host", "runner_up", "total", "lead", "slack", "noise",
         "fragile", "pinned_to", "equal_hosts", "tie_rule", "contributions", "flips",
-        "deadline_s", "latencies", "standbys",
+        "deadline_s", "latencies", "standbys", "carried",
     ),
     "map-score": ("ssim",),
     "result": _RESULT,

@@ -8,13 +8,17 @@ from edgectl.model.explanation import ChangeKind, Explanation, FirstMove, Flip, 
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Step
 from edgectl.model.resource import RESOURCES_BY_NAME
+from edgectl.model.result import ActionResult
+from edgectl.model.task import Task
 from edgectl.views.glossary import head, list_shown_weights
 from edgectl.views.output import ItemView
 from edgectl.views.output_format import WIDE_FORMATS
 from edgectl.views.plan_sections import format_utility
 from edgectl.views.predicted_latency import encode_latencies, render_latencies
 from edgectl.views.reasons import describe_reason, join_words
+from edgectl.views.results import encode_carried_state
 from edgectl.views.standbys import encode_standby_steps, explain_standbys
+from edgectl.views.taken_along import explain_taken_along
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns, style_text, wrap_text
 
 _TIE_RULES = {
@@ -37,7 +41,8 @@ class ExplanationView(ItemView):
     """The decision of a task, the contribution of each term, and the changes that would alter it.
 
     ``unanswered``: notes on the hosts that did not answer, which the decision leaves out. ``manager``: knows
-    how long the task took to become active on each host.
+    how long the task took to become active on each host. ``task``: states what a move takes along;
+    ``carried``: the last move that took its state along.
     """
 
     kind = "explanation"
@@ -49,9 +54,12 @@ class ExplanationView(ItemView):
         explanation: Explanation,
         unanswered: Sequence[str] = (),
         manager: ManagerState | None = None,
+        *,
+        task: Task | None = None,
+        carried: ActionResult | None = None,
     ) -> None:
         self._step, self._explanation, self._unanswered = step, explanation, unanswered
-        self._manager = manager
+        self._manager, self._task, self._carried = manager, task, carried
 
     def table(self, look: RenderOptions = PLAIN) -> str:
         """With the smallest changes only."""
@@ -64,7 +72,11 @@ class ExplanationView(ItemView):
     def _render(self, look: RenderOptions, *, every: bool) -> str:
         step, value = self._step, self._explanation
         title = style_text(f"{step.task} -> {value.decision.host or 'nowhere'}", "bold", look)
-        lines = [*self._list_sentences(every=every), *explain_standbys(step, self._manager)]
+        lines = [
+            *self._list_sentences(every=every),
+            *explain_standbys(step, self._manager),
+            *explain_taken_along(step, self._task, self._carried),
+        ]
         sentences = "".join(wrap_text(line, look) for line in lines)
         parts = (
             title + "\n" + wrap_text(describe_reason(step), look),
@@ -87,7 +99,7 @@ class ExplanationView(ItemView):
         """The explanation as JSON types; ``flips`` smallest first."""
         step, value = self._step, self._explanation
         decision = value.decision
-        return {
+        document: Document = {
             "task": step.task,
             "action": step.action.value,
             "reason": describe_reason(step),
@@ -114,7 +126,11 @@ class ExplanationView(ItemView):
                 for each in value.contributions
             ],
             "flips": [_encode_flip(flip) for flip in value.flips],
-        } | encode_latencies(value)
+        }
+        moved = self._carried
+        if moved is not None and moved.state is not None:
+            document["carried"] = encode_carried_state(moved.state)
+        return document | encode_latencies(value)
 
 
 def _render_contributions(value: Explanation, look: RenderOptions) -> str:

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from edgectl.formats.document import Document
 from edgectl.formats.kinds import PLAN_KIND
@@ -9,6 +10,7 @@ from edgectl.model.assignment import RankedHost
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Weights
 from edgectl.model.resource import TERMS
+from edgectl.model.task import Tasks
 from edgectl.views.demands import render_demands, render_reservations
 from edgectl.views.glossary import head, list_shown_weights
 from edgectl.views.output import View
@@ -26,6 +28,9 @@ from edgectl.views.reasons import describe_reason, describe_rejection, is_left_o
 from edgectl.views.standbys import render_standby_rows
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, escape_unprintable, render_columns
 
+if TYPE_CHECKING:
+    from edgectl.views.taken_along import LastMoves
+
 # A CI job finds its comment by it, and edits that instead of adding one.
 PLAN_COMMENT_MARKER = "<!-- edgectl-plan -->"
 _MARKDOWN_HEAD = "| | task | now | next | utility | lead | reason |\n|---|---|---|---|---:|---:|---|\n"
@@ -40,8 +45,9 @@ class PlanView(View):
 
     formats = PLAN_FORMATS
 
-    def __init__(self, plan: Plan) -> None:
-        self._plan = plan
+    def __init__(self, plan: Plan, tasks: Tasks | None = None, carried: "LastMoves | None" = None) -> None:
+        """``tasks`` state what moves take along; ``carried``: by task, the last move that did."""
+        self._plan, self._tasks, self._carried = plan, tasks, carried or {}
 
     def table(self, look: RenderOptions = PLAIN) -> str:
         """The changes with their reasons, the load that is expected afterwards, and a line that counts."""
@@ -57,7 +63,7 @@ class PlanView(View):
         )
 
     def wide(self, look: RenderOptions = PLAIN) -> str:
-        """The table with every candidate of every task, and the demands."""
+        """The table with every candidate of every task, the demands, and what moves take along."""
         steps = self._plan.steps
         weights = self._plan.policy.weights
         rows = [
@@ -69,9 +75,17 @@ class PlanView(View):
             render_columns(rows, look, right=_TERM_COLUMNS, wrap={1, 2}) if steps else "",
             render_demands(self._plan, look),
             render_reservations(self._plan, look),
+            self._render_taken_along(look),
             render_expected_load(self._plan, look),
             render_plan_summary(self._plan, look),
         )
+
+    def _render_taken_along(self, look: RenderOptions) -> str:
+        if self._tasks is None:
+            return ""
+        from edgectl.views.taken_along import render_taken_along
+
+        return render_taken_along(self._plan, self._tasks, self._carried, look)
 
     def notes(self) -> Sequence[str]:
         """Notes on hosts, deferred tasks and demands."""

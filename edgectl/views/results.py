@@ -178,13 +178,14 @@ def encode_action_result(action: ActionResult) -> Document:
         "located": action.located,
         "downtime_s": action.downtime_s,
         "gap_s": action.gap_s,
-        **({} if action.state is None else {"carried": _encode_carried_state(action.state)}),
+        **({} if action.state is None else {"carried": encode_carried_state(action.state)}),
         "phases": [_encode_phase_result(phase) for phase in action.phases],
     }
     return document | without_none(error=action.error or None, hint=action.hint or None)
 
 
-def _encode_carried_state(state: CarriedState) -> Document:
+def encode_carried_state(state: CarriedState) -> Document:
+    """The state that a move took along as JSON types: never the state itself."""
     return {
         "host": state.host or None,
         "size_bytes": state.size_bytes,

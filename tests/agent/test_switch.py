@@ -44,6 +44,26 @@ def test_a_standby_becomes_active_and_inactive_again(ticker: Ticker) -> None:
     assert host.until("slam", "ready")["role"] == "standby"
 
 
+def test_the_process_that_was_active_last_is_told(ticker: Ticker) -> None:
+    """By the generation that made it inactive; the next process has no memory of that."""
+    host = ticker.host
+
+    def told() -> int:
+        return int((host.entry("slam") or {})["deactivated"])
+
+    assert told() == 0
+    ticker.switch("deactivate", generation=2)
+    assert told() == 0
+    ticker.switch("activate", generation=3)
+    assert told() == 0
+    ticker.switch("deactivate", generation=4)
+    assert told() == 4
+    ticker.switch("deactivate", generation=5)
+    assert told() == 4
+    os.kill(int(host.until("slam", "ready")["pid"]), signal.SIGKILL)
+    eventually(lambda: told() == 0)
+
+
 def test_an_active_instance_is_activated_by_its_supervisor_at_each_start(
     host: AgentHost, tmp_path: Path
 ) -> None:

@@ -25,7 +25,7 @@ from edgectl.state.journal_reader import read_journal
 from edgectl.units import format_duration
 from edgectl.usecases.apply import ApplyOptions, plan_and_apply
 from edgectl.usecases.events import EventFilter, list_events
-from edgectl.usecases.history import list_revisions
+from edgectl.usecases.history import find_last_carries, list_revisions
 from tests.builders import a_task, an_edge, an_inventory
 from tests.e2e import memory_task
 from tests.e2e.bench import EAGER, GENTLE, QUICK, Bench, a_local, open_bench
@@ -132,6 +132,8 @@ def test_stop_first_takes_the_memory_along(scene: Scene) -> None:
     assert past is not None
     assert (past.size_bytes, past.sha256, past.host) == (kept.size_bytes, kept.sha256, kept.host)
     assert past.age_s == pytest.approx(kept.age_s, abs=1e-3)
+    last = find_last_carries(fleet)["keeper"]
+    assert (last.previous_host, last.located, last.state) == (old, result.located, past)
     said = list_events(fleet, EventFilter(task="keeper"))[-1].message
     assert f"state of {kept.size_bytes}B" in said
     assert f"state {format_duration(kept.age_s)} old" in said
@@ -395,4 +397,66 @@ def test_a_warm_move_that_cannot_carry_the_memory_leaves_the_old_one_active(
     assert [(scene.folder / f"active-{host}").exists() for host in sorted(["edge1", "edge2"])] == [
         host == old for host in sorted(["edge1", "edge2"])
     ]
+    assert not scene.spools()
+
+
+def die_in_a_warm_move(scene: Scene, task: Task, old: str, point: str) -> None:
+    """Move the task away from ``old`` with a manager that dies at ``point``."""
+
+    def die(reached: str) -> None:
+        if reached == point:
+            raise ManagerKilledError
+
+    remove = failpoints.install_hook(die)
+    with suppress(ManagerKilledError):
+        scene.move(task, old)
+    remove()
+    assert not list(scene.folder.glob("active-*"))
+
+
+@pytest.mark.parametrize(
+    "point", ["deactivate acknowledged", "read-state sent", "load-state sent", "load-state acknowledged"]
+)
+@pytest.mark.parametrize("leaves", [True, False], ids=["old host excluded", "old host allowed"])
+def test_the_memory_outlives_a_manager_that_dies_while_no_instance_is_active(
+    scene: Scene, point: str, leaves: bool
+) -> None:
+    """It is in the instance that was active last. That one is active again, or hands it over after all."""
+    task = a_warm(scene)
+    old = scene.running(task)
+    new = ({"edge1", "edge2"} - {old}).pop()
+    die_in_a_warm_move(scene, task, old, point)
+    result = scene.apply(exclude_host(task, old) if leaves else task)
+    assert result is not None
+    where = new if leaves else old
+    assert (result.outcome, result.located) == (Outcome.DONE, where), result
+    carry = [Phase.SAVE, Phase.TRANSFER, Phase.LOAD] if leaves else []
+    assert list_phases(result) == [*carry, Phase.ACTIVATE, Phase.READY]
+    assert (result.state is not None) is leaves
+    assert scene.talk(where, "save") == f"{SECRET}\n"
+    assert [path.name for path in scene.folder.glob("active-*")] == [f"active-{where}"]
+    assert scene.bench.where() == {"keeper": where}
+    assert not scene.spools()
+
+
+@pytest.mark.parametrize("failing", ["save", "load"])
+def test_a_task_without_an_active_instance_starts_also_where_its_memory_cannot_come_along(
+    scene: Scene, failing: str
+) -> None:
+    """Nobody serves meanwhile; and a copy that has taken in a part of it is started anew."""
+    task = a_warm(scene)
+    old = scene.running(task)
+    die_in_a_warm_move(scene, task, old, "deactivate acknowledged")
+    broken = a_warm(scene, **{failing: Check(command="exit 9", timeout=2.0)})
+    result = scene.apply(exclude_host(broken, old))
+    assert result is not None
+    new = ({"edge1", "edge2"} - {old}).pop()
+    assert (result.outcome, result.located) == (Outcome.DONE, new), result
+    lost = [phase.detail for phase in result.phases if not phase.ok]
+    assert lost == [f"{failing} of keeper failed: exit code 9"]
+    assert list_phases(result)[-2:] == [
+        Phase.ACTIVATE if failing == "save" else Phase.START, Phase.READY,
+    ]  # fmt: skip
+    assert scene.talk(new, "save") == ""
+    assert [path.name for path in scene.folder.glob("active-*")] == [f"active-{new}"]
     assert not scene.spools()

@@ -2,6 +2,7 @@
 
 from tests.faults import (
     faults_etcd,
+    faults_failover,
     faults_failpoints,
     faults_host,
     faults_inventory,
@@ -13,6 +14,7 @@ from tests.faults import (
     faults_standby,
     faults_task,
     faults_two_managers,
+    faults_warm_move,
 )
 from tests.faults.registry import FAULTS, Fault
 
@@ -29,6 +31,8 @@ MODULES = (
     faults_noise,
     faults_failpoints,
     faults_standby,
+    faults_warm_move,
+    faults_failover,
     faults_random,
 )
 

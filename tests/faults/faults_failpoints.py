@@ -53,8 +53,8 @@ def choose_failpoints(fleet: FaultFleet, count: int) -> list[int]:
 
 
 def kill_at_failpoint(fleet: FaultFleet, words: tuple[str, ...], at: int) -> None:
-    """Run edgectl until its ``at``-th failpoint, where it is killed. A run may have one failpoint less than
-    counted: then nothing is injected.
+    """Run edgectl until its ``at``-th failpoint, where it is killed. A run may have some failpoints less than
+    counted, as where a copy stands already that was started in the run that was counted: then nothing is injected.
     """
     fleet.failpoint_log.unlink(missing_ok=True)
     fleet.kill_at = at
@@ -62,7 +62,7 @@ def kill_at_failpoint(fleet: FaultFleet, words: tuple[str, ...], at: int) -> Non
     fleet.kill_at = None
     if died.code == -signal.SIGKILL:
         fleet.injected += 1
-    elif died.code or len(failpoint_runner.read_failpoints(fleet.failpoint_log)) < at - 3:
+    elif died.code or len(failpoint_runner.read_failpoints(fleet.failpoint_log)) < at / 2:
         raise ExpectationError(
             f"did not reach point {at}: {failpoint_runner.read_failpoints(fleet.failpoint_log)}, {died}"
         )

@@ -1,12 +1,7 @@
-"""Faults of tasks with standby copies: at most one instance is ever active, and one is in the end.
-
-The records of the tasks are of their activities (`standby_task`), so that the oracle counts two that are active at
-once, and none that is active, as it counts two launches and none.
-"""
+"""Faults of tasks with standby copies: at most one instance is ever active, and one is in the end."""
 
 import signal
 import time
-from typing import Any
 
 from tests.faults import oracle, scan
 from tests.faults.command_result import ExpectationError
@@ -16,59 +11,11 @@ from tests.faults.fleet import FaultFleet
 from tests.faults.hosts import wait_for
 from tests.faults.link_fault import LinkFault, LinkFaultKind
 from tests.faults.registry import OWN, fault
+from tests.faults.standby_fleet import GRACE_S, find_active, force_move, start_standby_task
 from tests.pace import patience
 
-PIPES = "$HOME/standby-slam"
-GRACE_S, SELF_FENCE_S, SLACK_S = 2.0, 6.0, 10.0
+SELF_FENCE_S, SLACK_S = 6.0, 10.0
 FAULTS_OF_LINK = (LinkFaultKind.BLACK_HOLE, LinkFaultKind.CUT_RST, LinkFaultKind.MUTE)
-
-
-def say_word(word: str) -> str:
-    """A command that succeeds once the task has done what ``word`` says."""
-    return f'echo {word} > {PIPES}/in && read answer < {PIPES}/out && test "$answer" = {word}'
-
-
-def start_standby_task(fleet: FaultFleet, **fields: Any) -> None:
-    """Start slam, which is not bound to a host, and its copy."""
-    fleet.add_task("slam", **fields)
-    program = f'exec python3 "$HOME/oracle/standby_task.py" "$HOME/oracle/records" slam {PIPES} {fleet.mark}'
-    fleet.tasks["slam"] |= {
-        "command": program,
-        "stop": {"grace": f"{GRACE_S:g}s"},
-        "standby": {
-            "warm": {"hosts": 1},
-            "activate": {"command": say_word("wake"), "timeout": "5s"},
-            "deactivate": {"command": say_word("sleep"), "timeout": "5s"},
-            "ready": {"command": f"test -p {PIPES}/out", "timeout": "20s"},
-        },
-    }
-    fleet.write_files()
-    fleet.apply_and_check()
-
-
-def find_active(fleet: FaultFleet) -> str:
-    """The host on which slam is active."""
-    return oracle.watch_launches(fleet.records, seconds=0.3, patience=12.0, expected=["slam"])["slam"][0].host
-
-
-def force_move(fleet: FaultFleet) -> str:
-    """Forbid slam the host on which it is active; returns that host."""
-    old = find_active(fleet)
-    fleet.tasks["slam"]["hosts"] = {"never": [old]}
-    fleet.write_files()
-    return old
-
-
-def move_slam(fleet: FaultFleet, _number: int) -> tuple[str, ...]:
-    """A warm move, and a copy elsewhere."""
-    force_move(fleet)
-    return APPLY_ONE
-
-
-@fault("standby: manager killed at every point of a warm move", quick=True)
-def kill_warm_move(fleet: FaultFleet) -> None:
-    start_standby_task(fleet)
-    kill_at_every_failpoint(fleet, move_slam, kinds=1)
 
 
 @fault("standby: manager killed at every point of a start and a stop of copies")

@@ -22,6 +22,7 @@ from tests.compiled_agent import give_key
 from tests.faults import failpoint_runner, oracle, scan
 from tests.faults.command_result import WORST_S, CommandResult, ExpectationError
 from tests.faults.hosts import Host, start_loopback_hosts
+from tests.faults.messages import Subscriber, subscribe
 from tests.faults.namespace_host import NamespaceHost, start_namespace_hosts
 from tests.faults.oracle import OracleVerdict
 from tests.faults.relay import Relay
@@ -70,11 +71,14 @@ class FaultFleet:
     keys: dict[str, str] = field(default_factory=dict)
     overlap_allowed: set[str] = field(default_factory=set)
     coordination: str = ""
+    policy: dict[str, object] = field(default_factory=dict)
+    subscriber: Subscriber | None = None
     code: Path | None = None
     connection: str = "ssh"
     sample: bool = False
     points: int | None = None
     kill_at: int | None = None
+    kill_with: signal.Signals = signal.SIGKILL
     injected: int = 0
     stack: ExitStack = field(default_factory=ExitStack)
     started_ns: int = field(default_factory=oracle.read_boottime_ns)
@@ -160,7 +164,7 @@ class FaultFleet:
         (self.directory / "inventory.yaml").write_text(format_yaml(inventory))
         # The default of ``up`` would cost each start 3 s.
         tasks = {name: {"up": "300ms", **task} for name, task in self.tasks.items()}
-        (self.directory / "tasks.yaml").write_text(format_yaml({"version": 1, "tasks": tasks}))
+        (self.directory / "tasks.yaml").write_text(format_yaml({"version": 1, **self.policy, "tasks": tasks}))
         self._write_ssh_files()
 
     def _write_ssh_files(self) -> None:
@@ -234,7 +238,7 @@ class FaultFleet:
         program = (
             [str(EDGECTL)]
             if self.kill_at is None
-            else failpoint_runner.build_command(self.failpoint_log, self.kill_at)
+            else failpoint_runner.build_command(self.failpoint_log, self.kill_at, self.kill_with)
         )
         return [*self.prefix, *program, *words, *files]
 
@@ -345,7 +349,15 @@ class FaultFleet:
             patience=patience,
         )
         harm = tuple(word for bystander in self.bystanders for word in bystander.list_harm())
-        return OracleVerdict(lost=found.lost, doubled=found.doubled, foreign=harm)
+        heard = self.subscriber.find_overlaps() if self.subscriber is not None else []
+        return OracleVerdict(lost=found.lost, doubled=(*found.doubled, *heard), foreign=harm)
+
+    def subscribe(self) -> Subscriber:
+        """Hear the messages of the tasks from now on; two senders at once count as doubled."""
+        if self.subscriber is None:
+            address = "127.0.0.1" if self.netns is None else f"{self.get_computer(self.first).site.network}.1"
+            self.subscriber = self.stack.enter_context(subscribe(address, self.netns))
+        return self.subscriber
 
     def check_verdict(self, expected: Mapping[str, str | None] | None = None) -> None:
         """Require a clean verdict."""

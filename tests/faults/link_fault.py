@@ -5,7 +5,7 @@ from enum import StrEnum
 
 
 class LinkFaultKind(StrEnum):
-    """Effect on the bytes of a connection."""
+    """Effect on the bytes of a connection. ``ANSWERS_LOST``, ``REQUESTS_LOST``: a black hole in one direction."""
 
     PASS = "pass"
     DELAY = "delay"
@@ -15,6 +15,8 @@ class LinkFaultKind(StrEnum):
     GARBLE = "garble"
     MUTE = "mute"
     REFUSE = "refuse"
+    ANSWERS_LOST = "answers-lost"
+    REQUESTS_LOST = "requests-lost"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -94,6 +94,16 @@ def list_lifetimes(records: Mapping[str, Path]) -> list[LaunchLifetime]:
     return sorted(found, key=lambda life: life.first_ns)
 
 
+def read_counts(directory: Path, launch: str) -> list[int]:
+    """Return what the launch knew at each of its lines, if its task counts (`standby_task`)."""
+    return [
+        int(str(event["count"]))
+        for path in sorted(directory.glob(f"{launch}.*.jsonl"))
+        for event in read_events(path)
+        if "count" in event
+    ]
+
+
 def group_by_task(all_lives: Iterable[LaunchLifetime]) -> dict[str, list[LaunchLifetime]]:
     """Group launches by task."""
     tasks: dict[str, list[LaunchLifetime]] = defaultdict(list)

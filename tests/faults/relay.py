@@ -22,6 +22,8 @@ from tests.faults.link_fault import LinkFault, LinkFaultKind
 
 CHUNK = 16384
 BACKLOG_LIMIT = 1 << 20
+ONE_WAY = {LinkFaultKind.ANSWERS_LOST: True, LinkFaultKind.REQUESTS_LOST: False}
+"""Whether of the one direction that is left the far end, the host, is the receiver."""
 CLONE_NEWNET = 0x40000000
 
 
@@ -103,7 +105,7 @@ class Relay:
     def _run(self) -> None:
         try:
             if self._netns:
-                _enter_netns(self._netns)
+                enter_netns(self._netns)
             self._selector.register(self._wake, selectors.EVENT_READ)
             self._listen()
             self._done.set()
@@ -248,6 +250,9 @@ class Relay:
 
     def _inject(self, to: _Endpoint, data: bytes, whole: int) -> None:
         kind, first, self.fired = self._fault.kind, not self.fired, True
+        if kind in ONE_WAY:
+            self._queue(to, data if self._passes(to) else data[:whole])
+            return
         if kind is LinkFaultKind.GARBLE:
             self._queue(to, data[:whole] + bytes([data[whole] ^ 0x55]) + data[whole + 1 :] if first else data)
             return
@@ -260,6 +265,11 @@ class Relay:
         else:
             self._fault = LinkFault()
         self._close_all(reset=kind is LinkFaultKind.CUT_RST)
+
+    def _passes(self, to: _Endpoint) -> bool:
+        """Whether bytes still go this way once the fault has begun."""
+        kind = self._fault.kind
+        return kind is not LinkFaultKind.BLACK_HOLE and (kind not in ONE_WAY or to.far is ONE_WAY[kind])
 
     def _queue(self, to: _Endpoint, data: bytes, due: float = 0.0) -> None:
         if data:
@@ -290,7 +300,7 @@ class Relay:
 
     def _finish(self, side: _Endpoint) -> None:
         """Handle the end of input; a black hole swallows it, too."""
-        if self._fault.kind is LinkFaultKind.BLACK_HOLE and self.fired:
+        if self.fired and not self._passes(side):
             return
         side.closing = True
         if not side.out:
@@ -321,7 +331,7 @@ class Relay:
                 self._close(side, reset=reset)
 
 
-def _enter_netns(netns: Path) -> None:
+def enter_netns(netns: Path) -> None:
     """Move this thread into a network namespace; sockets created later stay there."""
     libc = ctypes.CDLL(None, use_errno=True)
     handle = os.open(netns, os.O_RDONLY)

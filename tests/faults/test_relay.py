@@ -110,6 +110,27 @@ def test_black_hole_after_byte_k(relay: Relay) -> None:
             sock.recv(1)
 
 
+@pytest.mark.parametrize(
+    ("kind", "far_hears", "near_hears"),
+    [(LinkFaultKind.ANSWERS_LOST, b"0123456789", b""), (LinkFaultKind.REQUESTS_LOST, b"", b"answer")],
+)
+def test_one_direction_is_lost(kind: LinkFaultKind, far_hears: bytes, near_hears: bytes) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server, run_relay(server.getsockname()) as relay:
+        relay.set(LinkFault(kind=kind))
+        with connect_to_relay(relay) as near:
+            far, _ = server.accept()
+            with far:
+                near.sendall(b"0123456789")
+                far.sendall(b"answer")
+                for sock, wanted in ((far, far_hears), (near, near_hears)):
+                    sock.settimeout(30 if wanted else 0.3)
+                    if wanted:
+                        assert receive_exactly(sock, len(wanted)) == wanted
+                    else:
+                        with pytest.raises(TimeoutError):
+                            sock.recv(1)
+
+
 def test_a_half_open_connection_is_never_ended_on_the_far_side() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server, run_relay(server.getsockname()) as relay:
         relay.set(LinkFault(kind=LinkFaultKind.BLACK_HOLE, after=4, half_open=True))

@@ -3,7 +3,7 @@
 import os
 import subprocess
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -16,11 +16,11 @@ LISTENER = Path(__file__).with_name("ros_listener.py")
 
 
 @contextmanager
-def hear_ros(domain: int) -> Iterator[Subscriber]:
-    """Hear the topic of the node, in the network of the calling thread."""
+def hear_ros(domain: int, prefix: Sequence[str] = ()) -> Iterator[Subscriber]:
+    """Hear the topic of the node, in the network of the calling thread, or that which ``prefix`` enters."""
     env = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
     with subprocess.Popen(
-        [PYTHON, LISTENER, TOPIC],
+        [*prefix, PYTHON, LISTENER, TOPIC],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

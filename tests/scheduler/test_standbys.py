@@ -15,6 +15,7 @@ from edgectl.model.plan import Action, Step
 from edgectl.model.policy import Policy, PolicyName, Weights
 from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostSample, TaskSample, TaskState
+from edgectl.model.standby import StateRule
 from edgectl.model.standby_plan import StandbyAction, StandbyReason, StandbyStep
 from edgectl.model.task import Need, NeedCondition, OnboardRule, Task
 from edgectl.scheduler.assign import assign
@@ -375,6 +376,18 @@ def test_a_copy_that_is_ready_goes_before_a_better_one_that_is_not() -> None:
     }
     slam = replace(SLAM, standby=a_standby_rule(hosts=2))
     assert hosts_by_task(decide(slam, samples=samples)) == {"slam": "edge2"}
+
+
+@pytest.mark.parametrize(("state", "host"), [(StateRule(topic="/map"), "edge2"), (None, "edge3")])
+def test_the_copy_that_was_active_last_goes_before_a_better_one(state: StateRule | None, host: str) -> None:
+    """Where a move was interrupted it has the state; of a task without one it is as good as any other."""
+    samples = {
+        "edge1": a_sample(used=0.5, standbys={"slam": a_copy(deactivated=6)}),
+        "edge2": a_sample(used=1.0, standbys={"slam": a_copy(deactivated=7)}),
+        "edge3": a_sample(standbys={"slam": a_copy()}),
+    }
+    slam = replace(SLAM, standby=a_standby_rule(hosts=3), state=state)
+    assert hosts_by_task(decide(slam, samples=samples)) == {"slam": host}
 
 
 def test_a_held_task_keeps_its_copies_and_gets_no_other() -> None:

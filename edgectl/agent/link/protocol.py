@@ -168,6 +168,7 @@ ENTRY_KEYS = (
     "generation",
     "role",
     "switching",
+    "deactivated",
     "managed",
     "restarts",
     "exit_code",

@@ -151,6 +151,7 @@ def build_entry(found: InstanceRecord, alive: bool) -> Document:
         "generation": max(instance.get("generation", 0), stated.get("generation", 0)),
         "role": stated.get("role", ""),
         "switching": bool(stated.get("switching")),
+        "deactivated": role.find_deactivated(stated, status.get("pid", 0), status.get("ticks", -1)),
         "managed": True,
         "restarts": status.get("restarts", 0),
         "exit_code": status.get("exit_code"),

@@ -2,8 +2,9 @@
 
 ``instance``, ``role``, ``generation`` of the last change, ``switching`` (a change is under way, or was left
 half-way), ``pid`` and ``ticks`` of the process to which an activation was begun (0 for none), and ``done``:
-that activation was proven. The record says ``standby`` only while no process of the instance can be active:
-it is written before an activation begins, and after a deactivation is proven (ADR 109).
+that activation was proven. ``left``: pid, ticks and generation of the process that was last made inactive,
+which still has the memory of its activity. The record says ``standby`` only while no process of the instance
+can be active: it is written before an activation begins, and after a deactivation is proven (ADR 109).
 
 A power cut ends the processes together with what they were, so it need not be durable.
 """
@@ -38,6 +39,12 @@ def write_role(folder: str, record: Document) -> None:
 def is_begun(record: Document, pid: int, ticks: int) -> bool:
     """Whether an activation of this very process was begun: only then it can be active."""
     return bool(record.get("pid") == pid and record.get("ticks") == ticks)
+
+
+def find_deactivated(record: Document, pid: int, ticks: int) -> int:
+    """The generation with which this very process was made inactive; 0 if it is active, or never was."""
+    left = record.get("left") or [0, -1, 0]
+    return int(left[2]) if record.get("role") == protocol.ROLE_STANDBY and left[:2] == [pid, ticks] else 0
 
 
 def is_proven_active(record: Document, pid: int, ticks: int) -> bool:

@@ -227,7 +227,8 @@ def _deactivate(
     begun = _begin(record, request, stated)
     fault, seconds = _run(record, transition)
     if not fault:
-        written = _make_inactive(begun)
+        left = [begun["pid"], begun["ticks"], begun["generation"]]
+        written = dict(_make_inactive(begun), left=left)
         _finish(record, written)
         return _build_reply(protocol.ROLE_STANDBY, written, seconds)
     undone = _run_other(record, request, transition, protocol.ROLE_ACTIVE)
