@@ -45,8 +45,8 @@ def experiment_run_command(
     tasks.
 
     Examples:
-        edgectl experiment run tasks/mission/experiment.yaml
-        edgectl experiment run tasks/mission/experiment.yaml -n 1 --out again
+        edgectl experiment run tasks/patrol/experiment.yaml
+        edgectl experiment run tasks/patrol/experiment.yaml -n 1 --out again
     """
     from edgectl.cli.connect import build_fleet, parse_lock_timeout
     from edgectl.cli.signals import stop_control_on_signal
