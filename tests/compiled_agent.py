@@ -47,7 +47,7 @@ def give_agent_and_keys(state: Path, *inventories: Path) -> None:
 
 def give_scaffold_keys(state: Path, site: Path) -> None:
     """The same for both fleets of a scaffold in ``site``."""
-    give_agent_and_keys(state, site / "inventories" / "local.yaml", site / "tasks" / "mission" / "fleet.yaml")
+    give_agent_and_keys(state, site / "inventories" / "local.yaml", site / "tasks" / "patrol" / "fleet.yaml")
 
 
 def give_key(state: Path, fleet: str) -> None:

@@ -160,6 +160,8 @@ WING_DOORS = {
     "simulator_probe": {"rules"},
     "replay": {"scheduler"},
     "recorded_snapshots": {"usecases"},
+    "event_actions": {"gateway", "usecases"},
+    "held_changes": {"formats", "state", "usecases"},
     "runner": {"executor", "gateway", "state", "usecases"},
     "trial": {"executor", "gateway", "usecases"},
     "trial_state": {"state", "usecases"},

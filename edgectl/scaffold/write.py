@@ -10,7 +10,7 @@ from pathlib import Path
 
 _DIRECTORY_PLACEHOLDER = b'prelude: cd "$EDGECTL_DEMO"'
 _FLEET_PLACEHOLDER = re.compile(rb"^fleet: (\w+)$", re.MULTILINE)
-_PROGRAMS = ("detection", "follower", "grid", "mapper", "merger", "robot", "wire", "world")
+_PROGRAMS = ("detection", "follower", "grid", "mapper", "merger", "radio", "robot", "wire", "world")
 MISSION_FILES = (
     "experiment.yaml",
     "fleet.yaml",
@@ -25,7 +25,7 @@ SCAFFOLD_FILES = (
     "inventories/local.yaml",
     "tasks/demo.yaml",
     "tasks/workload.py",
-    *(f"tasks/mission/{name}" for name in MISSION_FILES),
+    *(f"tasks/patrol/{name}" for name in MISSION_FILES),
 )
 
 
@@ -34,9 +34,9 @@ _KINDS = {
     "edgectl.yaml": "project",
     "inventories/local.yaml": "inventory",
     "tasks/demo.yaml": "tasks",
-    "tasks/mission/fleet.yaml": "inventory",
-    "tasks/mission/tasks.yaml": "tasks",
-    "tasks/mission/experiment.yaml": "experiment",
+    "tasks/patrol/fleet.yaml": "inventory",
+    "tasks/patrol/tasks.yaml": "tasks",
+    "tasks/patrol/experiment.yaml": "experiment",
 }
 SCHEMAS_DIR = ".edgectl/schemas"
 NO_SCHEMAS: Mapping[str, str] = {}

@@ -43,8 +43,8 @@ CODES = {
     "edgectl wait map-merge --for completed --timeout 2s": 1,
     "edgectl wait slam-robot1 --for gone --timeout 2s": 1,
     "edgectl drain edge1": FULL,
-    "edgectl experiment run tasks/mission/experiment.yaml": BUSY,
-    "edgectl experiment run tasks/mission/experiment.yaml -n 1 --out again": BUSY,
+    "edgectl experiment run tasks/patrol/experiment.yaml": BUSY,
+    "edgectl experiment run tasks/patrol/experiment.yaml -n 1 --out again": BUSY,
     "edgectl drain edge1 --yes --timeout 10m": FULL,
 }
 FIRST = ("edgectl init demo", "edgectl init .")

@@ -29,9 +29,9 @@ def test_init_writes_a_fleet_that_validates(
         *SCAFFOLD_FILES,
         *schemas,
     ]
-    first_line = (target / "tasks" / "mission" / "tasks.yaml").read_text().split("\n")[0]
+    first_line = (target / "tasks" / "patrol" / "tasks.yaml").read_text().split("\n")[0]
     named = first_line.removeprefix("# yaml-language-server: $schema=")
-    assert (target / "tasks" / "mission" / named).resolve() == (
+    assert (target / "tasks" / "patrol" / named).resolve() == (
         target / ".edgectl/schemas/tasks.json"
     ).resolve()
     inventory, tasks, warnings = load_inventory_and_tasks(

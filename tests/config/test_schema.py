@@ -13,10 +13,10 @@ from tests.config.broken_files import INVENTORY, TASKS, BrokenFile
 
 ROOT = Path(__file__).parents[2]
 FILES = {
-    "inventory": ["inventories/*.yaml", "tasks/mission/fleet.yaml"],
-    "tasks": ["tasks/*.yaml", "tasks/mission/tasks.yaml"],
+    "inventory": ["inventories/*.yaml", "tasks/patrol/fleet.yaml"],
+    "tasks": ["tasks/*.yaml", "tasks/patrol/tasks.yaml"],
     "project": ["edgectl/scaffold/edgectl.yaml"],
-    "experiment": ["tasks/mission/experiment.yaml"],
+    "experiment": ["tasks/patrol/experiment.yaml"],
     "scenario": ["docs/scenarios/*.yaml"],
 }
 # Types, missing and unknown keys, words, names, quantities, versions: all that concerns the form of a file.

@@ -1,22 +1,28 @@
 """Events in scenario files: what is read, and each fault with its place and its hint."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.errors import InputError
+from edgectl.experiments.files.experiment_file import load_experiment
+from edgectl.experiments.files.run_codec import RUN_KIND, digest_experiment
 from edgectl.experiments.files.scenario_file import load_scenario, load_scenario_paths
+from edgectl.experiments.model.experiment import ExperimentRun
 from edgectl.experiments.model.mission_event import (
     CHANGE_KEYS,
     DemandChange,
+    EventCommand,
     EventCondition,
+    EventPrompt,
     HostLoad,
     LinkChange,
     MissionEvent,
     RobotProgress,
 )
-from edgectl.model.task import Tasks
+from edgectl.model.task import TaskKind, Tasks
 from tests.builders import a_robot, a_task, an_edge, an_inventory, some_tasks
 from tests.views.fixtures import ROOT
 
@@ -26,6 +32,7 @@ TASKS: Tasks = some_tasks(
     a_task("slam-rover1", template="slam", robots=["rover1"]),
     a_task("merge", robots=["rover1", "rover2"]),
     a_task("idle", robots=["rover1"]),
+    a_task("tour", kind=TaskKind.JOB),
 )
 HEAD = """\
 version: 1
@@ -168,3 +175,93 @@ def test_the_shipped_scenario_has_every_change_of_a_scenario() -> None:
     inventory, tasks, _ = load_inventory_and_tasks(inventory_file, tasks_file)
     events = load_scenario(path, inventory, tasks).events
     assert {event.change for event in events} == set(CHANGE_KEYS) - {"add", "run", "ask"}
+
+
+SPEC_HEAD = """\
+version: 1
+name: test
+until: [tour]
+events:
+"""
+
+
+def read_experiment(tmp_path: Path, text: str) -> tuple[MissionEvent, ...]:
+    path = tmp_path / "spec.yaml"
+    path.write_text(SPEC_HEAD + text)
+    return load_experiment(path, FLEET, TASKS).events
+
+
+def test_changes_of_an_experiment_are_read(tmp_path: Path) -> None:
+    text = """\
+  far: {at: 30s, for: 10s, run: [tc, add], on: zinc, undo: [tc, del], deadline: 5s, kind: link}
+  door: {when: {progress: {robot: rover2, reaches: 50%}}, ask: "open the door", deadline: 1m}
+  in: {when: {placed: [merge]}, join: rover2}
+  more: {when: {completed: [tour]}, add: slam}
+"""
+    assert sorted(read_experiment(tmp_path, text), key=lambda event: event.name) == [
+        MissionEvent(
+            name="door",
+            when=EventCondition(progress=RobotProgress(robot="rover2", reaches=0.5)),
+            ask=EventPrompt(text="open the door", deadline=60.0),
+        ),
+        MissionEvent(
+            name="far",
+            at=30.0,
+            duration=10.0,
+            run=EventCommand(argv=("tc", "add"), on="zinc", undo=("tc", "del"), deadline=5.0),
+            kind="link",
+        ),
+        MissionEvent(name="in", when=EventCondition(placed=("merge",)), join="rover2"),
+        MissionEvent(name="more", when=EventCondition(completed=("tour",)), add="slam"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("line", "place", "words", "hint"),
+    [
+        ("x: {at: 5s, load: {host: zinc, cpu: 1}}", "5:21", "load does not belong", "with kind: load"),
+        ("x: {at: 5s, run: [tc], for: 9s}", "5:26", "nothing ends this change", "add undo"),
+        ("x: {at: 5s, run: tc add}", "5:20", "must be a list of arguments", 'write ["tc", "add"]'),
+        ("x: {at: 5s, run: []}", "5:20", "must name a program", ""),
+        ("x: {at: 5s, run: [tc], on: zink}", "5:30", "unknown host zink", "did you mean zinc?"),
+        ("x: {at: 5s, run: [tc], kind: lnk}", "5:32", "unknown kind lnk", "did you mean link?"),
+        ("x: {at: 5s, run: [tc], deadline: 0s}", "5:36", "must be above 0", ""),
+        ("x: {at: 5s, join: rover1, undo: [tc]}", "5:29", "undo belongs to run", "remove undo"),
+        ("x: {at: 5s, ask: go, on: zinc}", "5:24", "on belongs to run", "remove on"),
+        ("x: {at: 5s, ask: go, for: 9s}", "5:24", "has no end", "second event"),
+        ("x: {when: {completed: [slam]}, join: rover1}", "5:26", "slam-rover1 never completes", "completes"),
+        ("x: {when: {jobs: [map]}, join: rover1}", "5:14", "unknown key jobs in when", ""),
+    ],
+)
+def test_each_fault_of_an_experiment_has_its_place(
+    tmp_path: Path, line: str, place: str, words: str, hint: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        read_experiment(tmp_path, f"  {line}\n")
+    first = caught.value.problems[0]
+    told = (f"{first.line}:{first.column}", first.message, first.hint)
+    assert (told[0], words in told[1], hint in told[2]) == (place, True, True), told
+
+
+def test_events_of_a_run_are_stored_with_it(tmp_path: Path) -> None:
+    """Everything that can be stated comes back from run.json; a run without events has no such key."""
+    text = """\
+  far: {at: 30s, every: 1m, times: 2, jitter: 5s, for: 10s, run: [tc, add], on: zinc, undo: [tc, del], kind: link}
+  door: {when: {completed: [tour], placed: [merge], progress: {robot: rover2, reaches: 50%}}, ask: "open"}
+  in: {at: 0s, join: rover2}
+"""
+    read_experiment(tmp_path, text)
+    experiment = load_experiment(tmp_path / "spec.yaml", FLEET, TASKS)
+    run = ExperimentRun(experiment=experiment, digest="sha256:0", machines={})
+    assert RUN_KIND.decode(RUN_KIND.encode(run)) == run
+    bare = RUN_KIND.encode(replace(run, experiment=replace(experiment, events=())))
+    assert "events" not in str(bare["experiment"])
+    digests = [
+        digest_experiment(each, FLEET, TASKS)
+        for each in (
+            experiment,
+            replace(experiment, events=()),
+            replace(experiment, events=experiment.events[:1]),
+        )
+    ]
+    assert len(set(digests)) == 3, "trials under other events are not comparable"

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from edgectl.experiments.event_draws import build_uniform_draw
 from edgectl.experiments.model.mission_event import (
     DemandChange,
     EventCondition,
@@ -19,7 +20,6 @@ from edgectl.experiments.model.mission_event import (
 )
 from edgectl.experiments.model.scenario import Scenario, SimHost, SimJob, SimRun, SimTiming
 from edgectl.experiments.simulator import simulate_mission
-from edgectl.experiments.simulator_runs import build_uniform_draw
 from edgectl.model.policy import Policy, PolicyName
 from edgectl.model.task import Task, UnreachablePolicy
 from tests.builders import GI, a_robot, a_task, an_edge, an_inventory, some_tasks

@@ -46,15 +46,18 @@ class CpuGroup:
                     time.sleep(0.02)
 
 
-def create_cgroup(name: str, cores: float | None) -> CpuGroup:
-    """Create a cgroup ``name`` limited to ``cores`` (None: no cgroup)."""
+def create_cgroup(name: str, cores: float | None, memory: float | None = None) -> CpuGroup:
+    """Create a cgroup ``name`` limited to ``cores`` (None: no cgroup), whose CPU time is counted where that
+    is another hierarchy (v1), and with ``memory`` limited to so many bytes.
+    """
     if cores is None:
         return CpuGroup(directories=(), limited=False, why="no limit wanted")
     for parent in (ROOT / "cpu", ROOT):
         directory = parent / name
         with suppress(OSError):
             directory.mkdir()
-            group = CpuGroup(directories=(directory,), limited=True)
+            beside = _create_beside(name, memory) if parent != ROOT else ()
+            group = CpuGroup(directories=(directory, *beside), limited=True)
             if (directory / "cpu.cfs_quota_us").exists() or (directory / "cpu.max").exists():
                 group.limit(cores)
                 return group
@@ -63,6 +66,19 @@ def create_cgroup(name: str, cores: float | None) -> CpuGroup:
     return CpuGroup(
         directories=(), limited=False, why=f"no writable cpu controller below {ROOT} for uid {os.geteuid()}"
     )
+
+
+def _create_beside(name: str, memory: float | None) -> tuple[Path, ...]:
+    """Create the group in the hierarchies of v1 that count its CPU time and limit its memory."""
+    found = []
+    for controller in ("cpuacct", *(["memory"] if memory else [])):
+        directory = ROOT / controller / name
+        if (ROOT / controller).exists() and (ROOT / controller).resolve() != (ROOT / "cpu").resolve():
+            directory.mkdir()
+            found.append(directory)
+        if controller == "memory" and memory:
+            (directory / "memory.limit_in_bytes").write_text(f"{int(memory)}\n")
+    return tuple(found)
 
 
 def list_hierarchies() -> list[Path]:

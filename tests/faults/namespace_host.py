@@ -101,6 +101,7 @@ class NamespaceHost:
     number: int
     user_key: str
     cores: float | None = None
+    memory: float | None = None
     systemd: bool = False
     shared: Mapping[str, Path] = field(default_factory=dict)
     env: dict[str, str] = field(default_factory=dict)
@@ -120,7 +121,9 @@ class NamespaceHost:
             if self.systemd
             else []
         )
-        self.group = cgroup.create_cgroup(f"edgectl-faults-{os.getpid()}-{self.name}", self.cores)
+        self.group = cgroup.create_cgroup(
+            f"edgectl-faults-{os.getpid()}-{self.name}", self.cores, self.memory
+        )
         self.can |= {LIMIT} if self.group.limited else frozenset()
         self.key = sshd.make_key(self.directory / "ssh" / "host_key")
         self.allow_logins(allowed=True, settle=False)
@@ -400,6 +403,7 @@ def start_namespace_hosts(
     names: list[str],
     *,
     cores: Mapping[str, float] | None = None,
+    memory: Mapping[str, float] | None = None,
     systemd: bool = False,
     shared: Mapping[str, Path] | None = None,
 ) -> Iterator[tuple[ManagerNetwork, dict[str, Host]]]:
@@ -420,6 +424,7 @@ def start_namespace_hosts(
                 number=number,
                 user_key=key,
                 cores=(cores or {}).get(name),
+                memory=(memory or {}).get(name),
                 systemd=systemd,
                 shared=shared or {},
             )

@@ -4,7 +4,7 @@
     python -m tests.latency.worker load CORE RATE SEED WIDTH HEIGHT
     python -m tests.latency.worker robot CORE ADDRESS COUNT WIDTH HEIGHT THINK
 
-Each runs on the core CORE alone. The work is that of tasks/mission/detection.py.
+Each runs on the core CORE alone. The work is that of tasks/patrol/detection.py.
 """
 
 import contextlib
@@ -26,8 +26,8 @@ _PATIENCE_S = 60.0
 
 
 def load_detection() -> Any:
-    """Import the detection of the mission."""
-    sys.path.insert(0, str(Path(__file__).parents[2] / "tasks/mission"))
+    """Import the detection of the patrol."""
+    sys.path.insert(0, str(Path(__file__).parents[2] / "tasks/patrol"))
     return importlib.import_module("detection")
 
 

@@ -45,13 +45,14 @@ def experiment_run_command(
     tasks.
 
     Examples:
-        edgectl experiment run tasks/mission/experiment.yaml
-        edgectl experiment run tasks/mission/experiment.yaml -n 1 --out again
+        edgectl experiment run tasks/patrol/experiment.yaml
+        edgectl experiment run tasks/patrol/experiment.yaml -n 1 --out again
     """
     from edgectl.cli.connect import build_fleet, parse_lock_timeout
     from edgectl.cli.signals import stop_control_on_signal
     from edgectl.cli.user_files import select_exposed
     from edgectl.config.problems import Problems
+    from edgectl.experiments.commands.person import ask_person
     from edgectl.experiments.files.experiment_file import load_experiment, load_experiment_paths
     from edgectl.experiments.runner import ExperimentOptions, run_experiment
     from edgectl.experiments.views.progress import show_trial_progress
@@ -60,7 +61,7 @@ def experiment_run_command(
     named_inventory, named_tasks = load_experiment_paths(spec)
     loaded = load_named_inputs(inventory, tasks, named_inventory, named_tasks)
     problems = Problems()
-    experiment = load_experiment(spec, loaded.tasks, problems)
+    experiment = load_experiment(spec, loaded.inventory, loaded.tasks, problems)
     loaded = replace(loaded, exposed=(*loaded.exposed, *select_exposed(problems.warnings)))
     experiment = replace(experiment, repetitions=repetitions or experiment.repetitions)
     _check_truth_maps(experiment, spec.parent)
@@ -76,6 +77,7 @@ def experiment_run_command(
             listener=listener,
             control=control,
             debug=bool(os.environ.get("EDGECTL_DEBUG")),
+            ask=ask_person,
         )
         run = run_experiment(build_fleet(loaded, accept_new=accept_new, asking=False), experiment, given)
     _print_experiment(output, run)

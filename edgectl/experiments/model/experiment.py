@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated
 
+from edgectl.experiments.model.mission_event import EventRecord, MissionEvent
 from edgectl.experiments.model.schemes import Scheme
 from edgectl.model.cycle import Cycle
 from edgectl.model.encoding import Bounds, Columns, FromOne, Instant, Positive, Rounded, in_document
@@ -49,6 +50,7 @@ class Experiment:
     A trial ends when all tasks in ``until`` have completed, or after ``limit`` s. ``every``: period of
     sampling and planning in s. ``idle``: highest CPU utilisation of a host before a trial, 0..1. ``metrics``:
     of the application, in the order of the table. ``maps``: by column of the table, maps scored by SSIM.
+    ``events``: what changes during a trial.
     """
 
     name: str
@@ -60,6 +62,7 @@ class Experiment:
     idle: float = field(default=0.25, metadata=in_document(required=True))
     metrics: Mapping[str, MetricAggregation] = field(default_factory=dict, metadata=_WRITTEN)
     maps: Mapping[str, MapPair] = field(default_factory=dict, metadata=_WRITTEN)
+    events: tuple[MissionEvent, ...] = field(default=(), metadata=in_document(keyed_by="name"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,6 +139,7 @@ class Trial:
     ``finished``. ``completed``: by task, s after the start of the trial. ``unplaced``: tasks without a host,
     summed over all plans. ``loads``: by host. ``readings``: by metric, then task. ``ssim``: by column, -1..1.
     ``usage``: by host, over the mission; empty in trials of earlier releases.
+    ``events``: what happened, in the order of time.
     """
 
     scheme: str
@@ -155,6 +159,7 @@ class Trial:
     )
     ssim: Mapping[str, Similarity] = field(default_factory=dict, metadata=_WRITTEN)
     usage: Mapping[str, MissionUsage] = field(default_factory=dict)
+    events: tuple[EventRecord, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

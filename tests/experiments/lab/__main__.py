@@ -1,6 +1,6 @@
 """``make experiment``: the shipped experiment on hosts of its own, its table, its page and its figures.
 
-    python -m tests.experiments.lab [--out runs/mission] [--repetitions 3] [--policies local,static,utility] [--plain]
+    python -m tests.experiments.lab [--out runs/patrol] [--repetitions 3] [--policies local,static,utility] [--plain]
     python -m tests.experiments.lab --profile        what each task of one mission used, for the demands in tasks.yaml
 
 Stopped at any point, the same command goes on with the trials that are missing, on computers of the same addresses. Whatever happens,
@@ -19,7 +19,7 @@ from pathlib import Path
 import yaml
 
 from tests.experiments.lab.hosts import Lab, lab, spent
-from tests.experiments.lab.mission import ROOT
+from tests.experiments.lab.patrol import ROOT
 from tests.experiments.lab.spec import shortened
 from tests.faults.namespace_host import NamespaceHost
 
@@ -78,7 +78,7 @@ def profile(made: Lab) -> int:
 def main() -> int:
     """Run it."""
     parser = argparse.ArgumentParser(description="The shipped experiment on hosts of its own.")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "mission", help="where the run is kept")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "patrol", help="where the run is kept")
     parser.add_argument("--repetitions", type=int, default=3)
     parser.add_argument("--policies", default="", help="such as local,utility; all where not given")
     parser.add_argument(

@@ -11,20 +11,25 @@ from typing import Any
 
 import yaml
 
+from edgectl.units import parse_bytes
 from tests import sshd
-from tests.experiments.lab.mission import MISSION
+from tests.experiments.lab.patrol import PATROL, radio
 from tests.faults import cgroup, scan
 from tests.faults.hosts import Host, start_loopback_hosts
 from tests.faults.namespace_host import NamespaceHost, find_missing_for_namespaces, start_namespace_hosts
 from tests.faults.network import ManagerNetwork, run_tc
 
-FLEET = yaml.safe_load((MISSION / "fleet.yaml").read_text())
+FLEET = yaml.safe_load((PATROL / "fleet.yaml").read_text())
 CORES = {
     name: float(entry["capacity"]["cpu"])
     for kind in ("edges", "robots")
     for name, entry in FLEET[kind].items()
 }
-LINK = FLEET["links"][0]["throughput"].removesuffix("/s").lower()
+MEMORY = {
+    name: parse_bytes(entry["capacity"]["memory"])
+    for kind in ("edges", "robots")
+    for name, entry in FLEET[kind].items()
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,22 +66,23 @@ def lab(directory: Path, *, plain: bool = False) -> Iterator[Lab]:
             yield _lab(directory, hosts, [], "SSH servers", f"no CPU limits, no shaped links: {why}")
             return
         network, hosts = stack.enter_context(
-            start_namespace_hosts(directory / "hosts", list(CORES), cores=CORES)
+            start_namespace_hosts(directory / "hosts", list(CORES), cores=CORES, memory=MEMORY)
         )
-        unshaped = "; ".join(
-            sorted(
-                {_shape(network, host) for host in hosts.values() if isinstance(host, NamespaceHost)} - {""}
-            )
-        )
+        computers = {name: host for name, host in hosts.items() if isinstance(host, NamespaceHost)}
+        classes, unshaped = _shape_links(network, computers)
         limits = ", ".join(f"{name} {cores:g}" for name, cores in CORES.items())
-        links = f"links as they are: {unshaped}" if unshaped else ""
-        yield _lab(
+        links = f"{radio.NEAR} near an edge, else {radio.FAR}" if not unshaped else "any"
+        made = _lab(
             directory,
             hosts,
             network.prefix,
-            f"computers in namespaces, cores: {limits}; links: {LINK if not links else 'any'}",
-            links,
+            f"computers in namespaces, cores: {limits}; links: {links}",
+            f"links as they are: {unshaped}" if unshaped else "",
         )
+        if not unshaped:
+            (directory / "radio.json").write_text(json.dumps(classes))
+            made.environment["EDGECTL_PATROL_RADIO"] = str(directory / "radio.json")
+        yield made
 
 
 def spent(host: NamespaceHost) -> float:
@@ -90,14 +96,32 @@ def spent(host: NamespaceHost) -> float:
     return ticks / os.sysconf("SC_CLK_TCK")
 
 
-def _shape(network: ManagerNetwork, host: NamespaceHost) -> str:
-    """Let the robot's cable carry no more than its link, in each direction; why not, where that cannot be."""
-    if host.name not in FLEET["robots"]:
-        return ""
-    rule = f"root tbf rate {LINK} burst 32kb latency 100ms".split()
-    return run_tc("qdisc", "add", "dev", host.cable, *rule, netns=network.process.pid) or run_tc(
-        "qdisc", "add", "dev", "eth0", *rule, netns=host.pid
-    )
+def _shape_links(
+    network: ManagerNetwork, computers: dict[str, NamespaceHost]
+) -> tuple[dict[str, dict[str, list[list[str]]]], str]:
+    """A class of its own for each link and direction, on the cables of both ends; why not, where that cannot be.
+
+    What the manager sends is in the class of the rest, which carries what it is given.
+    """
+    classes: dict[str, dict[str, list[list[str]]]] = {robot: {} for robot in FLEET["robots"]}
+    for kind, others in (("edges", "robots"), ("robots", "edges")):
+        for name in FLEET[kind]:
+            device = computers[name].cable
+            rest = f"class add dev {device} parent 1: classid 1:1 htb rate 1gbit quantum 60000"
+            rules = [f"qdisc add dev {device} root handle 1: htb default 1", rest]
+            for number, other in enumerate(FLEET[others], start=0x10):
+                place = f"1:{number:x}"
+                edge, robot = (name, other) if kind == "edges" else (other, name)
+                classes[robot].setdefault(edge, []).append([device, place])
+                rules += [
+                    f"class add dev {device} parent 1: classid {place} htb rate {radio.NEAR} burst 16k",
+                    f"qdisc add dev {device} parent {place} pfifo limit 40",
+                    f"filter add dev {device} parent 1: protocol ip u32 match ip src {computers[other].address}/32 flowid {place}",
+                ]
+            for rule in rules:
+                if why := run_tc(*rule.split(), netns=network.process.pid):
+                    return {}, why
+    return classes, ""
 
 
 def _lab(directory: Path, hosts: dict[str, Host], prefix: list[str], real: str, wanting: str) -> Lab:
@@ -106,8 +130,8 @@ def _lab(directory: Path, hosts: dict[str, Host], prefix: list[str], real: str, 
     site = directory / "site"
     site.mkdir()
     for name in ("experiment.yaml", "tasks.yaml", "world.pgm", "world.yaml"):
-        shutil.copy(MISSION / name, site / name)
-    (site / "fleet.yaml").write_text(json.dumps(_fleet(hosts), indent=1))
+        shutil.copy(PATROL / name, site / name)
+    (site / "fleet.yaml").write_text(json.dumps(_fleet(hosts, whole=bool(prefix)), indent=1))
     return Lab(
         site=site,
         hosts=hosts,
@@ -120,19 +144,21 @@ def _lab(directory: Path, hosts: dict[str, Host], prefix: list[str], real: str, 
 
 def _copy_programs(home: Path) -> None:
     """To where the prelude of these hosts leads, as their user's own."""
-    target, owner = home / "experiment" / "tasks" / "mission", home.stat()
+    target, owner = home / "experiment" / "tasks" / "patrol", home.stat()
     target.mkdir(parents=True)
-    for program in MISSION.glob("*.py"):
+    for program in PATROL.glob("*.py"):
         shutil.copy(program, target / program.name)
     for path in (home / "experiment", *(home / "experiment").rglob("*")):
         os.chown(path, owner.st_uid, owner.st_gid)
 
 
-def _fleet(hosts: dict[str, Host]) -> dict[str, Any]:
-    """The shipped fleet at the addresses of these hosts."""
+def _fleet(hosts: dict[str, Host], *, whole: bool) -> dict[str, Any]:
+    """The shipped fleet at the addresses of these hosts; a ``whole`` computer shows itself how much it has."""
     found = {**FLEET, "defaults": {"prelude": 'cd "$HOME/experiment"'}}
     for kind in ("edges", "robots"):
         found[kind] = {name: {**entry, **_way(hosts[name])} for name, entry in FLEET[kind].items()}
+        for entry in found[kind].values() if whole else ():
+            del entry["capacity"]
     return found
 
 

@@ -7,8 +7,9 @@ import yaml
 
 def shortened(text: str, *, repetitions: int, policies: str = "", weights: str = "", every: str = "") -> str:
     """The spec with fewer trials."""
-    spec = yaml.safe_load(text)
-    spec["repetitions"] = repetitions
+    # YAML 1.1 takes the key ``on`` for a truth value; here all values are texts, but for the whole numbers.
+    spec = yaml.load(text, Loader=yaml.BaseLoader)
+    spec |= {"version": 1, "repetitions": repetitions}
     for key, words in (("policies", policies), ("weights", weights)):
         if words:
             spec["schemes"][key] = words.split(",")

@@ -1,5 +1,7 @@
-"""The scenario of the shipped experiment has the numbers of its mission."""
+"""The scenario of the shipped experiment has the numbers and the events of its mission."""
 
+import math
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -7,40 +9,99 @@ import pytest
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.experiments.files.experiment_file import load_experiment, load_experiment_paths
 from edgectl.experiments.files.scenario_file import load_scenario, load_scenario_paths
-from tests.experiments.lab.mission import MISSION, ROOT, follower, world
+from edgectl.experiments.model.experiment import Experiment
+from edgectl.experiments.model.scenario import Scenario
+from edgectl.model.inventory import Inventory
+from edgectl.model.task import Tasks
+from edgectl.units import parse_rate
+from tests.experiments.lab.patrol import PATROL, ROOT, follower, radio, world
 
-SCENARIO = ROOT / "docs" / "scenarios" / "experiment.yaml"
+SCENARIO = ROOT / "docs" / "scenarios" / "patrol.yaml"
+ROBOTS = ("robot3", "robot2", "robot1")
 
 
-def test_the_shipped_spec_is_good() -> None:
-    inventory, tasks = load_experiment_paths(MISSION / "experiment.yaml")
-    assert inventory is not None
-    assert tasks is not None
-    _, loaded, warnings = load_inventory_and_tasks(inventory, [tasks])
-    spec = load_experiment(MISSION / "experiment.yaml", loaded)
+def load_spec() -> Experiment:
+    inventory_file, tasks_file = load_experiment_paths(PATROL / "experiment.yaml")
+    assert inventory_file is not None
+    assert tasks_file is not None
+    inventory, tasks, warnings = load_inventory_and_tasks(inventory_file, [tasks_file])
     assert warnings == ()
-    assert [variant.name for variant in spec.schemes] == [
-        "local",
-        "static",
-        *(f"utility {w}" for w in ("cpu", "memory", "network", "all")),
-    ]
-    assert (MISSION / spec.maps["ssim"].truth).exists()
+    return load_experiment(PATROL / "experiment.yaml", inventory, tasks)
 
 
-def test_the_models_inputs_are_the_missions_own() -> None:
+def load_model() -> tuple[Inventory, Tasks, Scenario]:
     inventory_file, tasks_file = load_scenario_paths(SCENARIO)
     assert inventory_file is not None
     assert tasks_file is not None
     inventory, tasks, _ = load_inventory_and_tasks(inventory_file, [Path(tasks_file)])
-    scenario = load_scenario(SCENARIO, inventory, tasks)
+    return inventory, tasks, load_scenario(SCENARIO, inventory, tasks)
+
+
+def find_near_edge(robot: str, visit: int) -> str:
+    """The edge of the area in which a stop of the robot's tour lies."""
+    x, _ = world.Plan().tour(int(robot[-1]))[3 * visit]
+    return f"edge{1 + int(x / world.metres(world.WIDTH) * world.ROOMS)}"
+
+
+def test_the_shipped_spec_is_good() -> None:
+    spec = load_spec()
+    assert [scheme.name for scheme in spec.schemes] == ["local", "static", "least-loaded", "utility all"]
+    assert (PATROL / spec.maps["ssim"].truth).exists()
+
+
+def test_links_follow_the_tours() -> None:
+    """Each robot is near the edge of its area, in the experiment and in the model alike."""
+    events = {event.name: event for event in load_spec().events}
+    start = events["links"].run
+    assert start is not None
+    assert set(start.argv[2:]) == {f"{robot}={find_near_edge(robot, 0)}" for robot in ROBOTS}
+    _, _, scenario = load_model()
+    model = {event.name: event for event in scenario.events}
+    for robot in ROBOTS:
+        for visit in (1, 2):
+            event = events[f"{robot}-area{visit + 1}"]
+            near = find_near_edge(robot, visit)
+            assert event.run is not None
+            assert event.run.argv[2:] == (f"{robot}={near}",)
+            assert event.when is not None
+            assert event.when.progress is not None
+            assert event.when.progress.reaches == pytest.approx(visit / 3, abs=0.01)
+            link = model[f"{robot}-area{visit + 1}-{near}"].link
+            assert link is not None
+            assert (link.edge, link.robot) == (near, robot)
+            assert link.throughput == parse_rate(f"{radio.NEAR.removesuffix('mbit')}Mbit/s")
+            far = model[f"{robot}-area{visit + 1}-{find_near_edge(robot, visit - 1)}"].link
+            assert far is not None
+            assert far.throughput == parse_rate(f"{radio.FAR.removesuffix('mbit')}Mbit/s")
+
+
+def test_the_models_inputs_are_the_missions_own() -> None:
+    inventory, tasks, scenario = load_model()
     for name, host in scenario.hosts.items():
         capacity = inventory.hosts[name].capacity
         assert capacity is not None
         assert (host.cores, host.memory) == (capacity["cpu"], capacity["memory"])
-    stops, command = len(world.Plan().tour(1, 2)), {name: task.command for name, task in tasks.tasks.items()}
+    command = {name: task.command for name, task in tasks.tasks.items()}
     work = {job.name: job.work for job in scenario.jobs}
-    assert "--rate 10" in command["detection-robot1"]
-    assert "--rate 8" in command["mapper-robot1"]
-    assert work["look-robot1"] == work["look-robot2"] == pytest.approx(stops * follower.FRAMES / 10)
-    assert work["map-robot1"] == work["map-robot2"] == pytest.approx(stops * follower.SCANS / 8)
-    assert set(scenario.rate.values()) == {10.0}
+    for robot in ROBOTS:
+        assert "--rate 5" in command[f"detection-{robot}"]
+        assert "--rate 5" in command[f"mapper-{robot}"]
+        assert len(world.Plan().tour(int(robot[-1]))) == 9
+        for visit in (1, 2, 3):
+            assert work[f"look-{visit}-{robot}"] == pytest.approx(3 * follower.FRAMES / 5)
+            assert work[f"map-{visit}-{robot}"] == pytest.approx(3 * follower.SCANS / 5)
+    assert set(scenario.rate.values()) == {5.0}
+    real = {event.name: event for event in load_spec().events}
+    for event in scenario.events:
+        if event.join is not None:
+            assert (real[event.name].join, real[event.name].at) == (event.join, event.at)
+    assert real["stranger"].at == next(event.at for event in scenario.events if event.name == "stranger")
+
+
+def test_robots_see_all_rooms_together() -> None:
+    plan = world.Plan()
+    seen = {stop for robot in ROBOTS for stop in plan.tour(int(robot[-1]))}
+    assert seen == {point for stops in plan.stops for point in stops}
+    for robot in ROBOTS:
+        tour = plan.tour(int(robot[-1]))
+        assert max(math.dist(one, other) for one, other in pairwise(tour)) < world.metres(world.WIDTH)

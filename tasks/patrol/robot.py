@@ -1,12 +1,14 @@
 """A simulated robot: it drives through the world on command, serves its sensor readings, and keeps data of
 other programs on a blackboard.
 
-    python3 robot.py [--robots 2] [--check]
+    python3 robot.py [--check]
 
 Serves over TCP at its own address ($EDGECTL_ROBOT_HOST), port 27000 and the number in its name: ``frame`` (a
-camera image), ``scan`` (laser ranges), ``pose``, ``drive`` (a velocity; the robot stops half a second after
-the last one), ``put`` and ``get`` (the blackboard), ``over`` (end of the mission). ``--check`` exits with 0
-if it serves. TERM ends it. Python >= 3.8, standard library only.
+camera image), ``scan`` (laser ranges), ``result`` (of what was found in one of them), ``pose``, ``drive`` (a
+velocity; the robot stops half a second after the last one), ``put`` and ``get`` (the blackboard), ``over``
+(end of the mission). The robot knows how old the data is of which it has results, and drives no further than
+0.75 m without newer ones. Metrics: ``gap_ms``, how long a sense had no results while its task moved.
+``--check`` exits with 0 if it serves. TERM ends it. Python >= 3.8, standard library only.
 """
 
 from __future__ import annotations
@@ -25,41 +27,73 @@ import wire
 import world
 
 BEAMS, REACH, SCAN_NOISE = 360, 3.5, 0.01
-COLUMNS, ROWS, FIELD, STRIPE = 240, 180, math.pi / 2, 4
+COLUMNS, ROWS, FIELD, STRIPE = 320, 240, math.pi / 2, 4
 CEILING, FLOOR, LIGHT, BALL = 96, 72, 110, 215
 BALL_RADIUS = 0.12
 POSE_NOISE, TURN_NOISE = 0.01, 0.005
 STALE_S = 0.5
+SIGHT, LEAST_AGE_S = 0.75, 0.05
+
+
+class Sense:
+    """What is known of one sense: when its data was ``taken`` (by number), and when that of the newest result
+    was (``seen``).
+
+    ``who`` gave that result, and ``at`` what time; ``results``: how many there are.
+    """
+
+    def __init__(self) -> None:
+        self.number, self.results, self.seen = 0, 0, -math.inf
+        self.taken: dict[int, float] = {}
+        self.who, self.at = "", 0.0
+
+    def take(self, now: float) -> int:
+        """The number of data that is taken now."""
+        self.number += 1
+        self.taken[self.number] = now
+        self.taken.pop(self.number - 100, None)
+        return self.number
+
+    def note(self, number: int, who: str, now: float) -> tuple[float, float]:
+        """Take in a result for data of this number: how old that data is, and, if another one has taken
+        over, for how long nothing had come (s; else 0).
+        """
+        taken = self.taken.get(number, now)
+        gap = now - self.at if self.who not in ("", who) else 0.0
+        self.results, self.seen = self.results + 1, max(self.seen, taken)
+        self.who, self.at = who, now
+        return now - taken, gap
 
 
 class Robot:
     """Where it is, what it was told, and what it holds for others."""
 
-    def __init__(self, number: int, robots: int, seed: int = world.SEED) -> None:
+    def __init__(self, number: int, seed: int = world.SEED) -> None:
         self.plan = world.Plan(seed)
-        self.tour = self.plan.tour(number, robots)
+        self.tour = self.plan.tour(number)
         self.x, self.y, self.angle = (*self.tour[0], 0.0)
         self.forward, self.turn, self.told = 0.0, 0.0, 0.0
         self.moved = time.monotonic()
         self.draw = random.Random(seed * 1000 + number)
         self.lock = threading.Lock()
         self.board: dict[str, bytes] = {}
-        self.taken = {"frame": 0, "scan": 0}
+        self.senses = {"frame": Sense(), "scan": Sense()}
         self.over = False
+
+    def safe_speed(self, now: float) -> float:
+        """How fast it may drive (m/s): `SIGHT` in the time since what it knows was seen."""
+        return SIGHT / max(LEAST_AGE_S, now - min(sense.seen for sense in self.senses.values()))
 
     def move(self, now: float) -> None:
         """Be where the last command has led until ``now``; a wall stops it."""
         until = min(now, self.told + STALE_S)
-        span = max(0.0, until - self.moved)
-        self.moved = now
-        while span > 0:
-            step = min(span, 0.02)
-            span -= step
+        at, self.moved = self.moved, now
+        while at < until:
+            step = min(until - at, 0.02)
+            at += step
             self.angle = math.remainder(self.angle + self.turn * step, 2 * math.pi)
-            x, y = (
-                self.x + self.forward * step * math.cos(self.angle),
-                self.y + self.forward * step * math.sin(self.angle),
-            )
+            way = min(self.forward, self.safe_speed(at)) * step
+            x, y = self.x + way * math.cos(self.angle), self.y + way * math.sin(self.angle)
             if self.plan.free(x, y):
                 self.x, self.y = x, y
 
@@ -139,19 +173,34 @@ def paint(pixels: bytearray, depths: list[float], ball: tuple[float, float, floa
     return whole
 
 
+def take_data(robot: Robot, what: str, reply: dict[str, object], now: float) -> bytes:
+    """A camera image or the ranges of the laser, with a number."""
+    reply["number"] = robot.senses[what].take(now)
+    if what == "scan":
+        return robot.scan()
+    body, reply["balls"] = robot.frame()
+    reply["size"] = [COLUMNS, ROWS]
+    return body
+
+
+def note_result(robot: Robot, request: dict[str, object], reply: dict[str, object], now: float) -> float:
+    """Take in a result, and reply how old its data is; how long the sense had none while its task moved."""
+    sense = robot.senses[str(request["of"])]
+    age, gap = sense.note(int(str(request["number"])), str(request["who"]), now)
+    reply["age_ms"] = 1000 * age
+    return gap
+
+
 def answer(robot: Robot, request: dict[str, object], payload: bytes) -> tuple[dict[str, object], bytes]:
     """The robot's reply to one request."""
-    what, body = request.get("ask"), b""
+    what, body, now, gap = request.get("ask"), b"", time.monotonic(), 0.0
     with robot.lock:
-        robot.move(time.monotonic())
-        if what in robot.taken:
-            robot.taken[str(what)] += bool(request.get("done"))
-        reply: dict[str, object] = {"over": robot.over, "pose": robot.believed(), "taken": dict(robot.taken)}
-        if what == "frame":
-            body, reply["balls"] = robot.frame()
-            reply["size"] = [COLUMNS, ROWS]
-        elif what == "scan":
-            body = robot.scan()
+        robot.move(now)
+        reply: dict[str, object] = {"over": robot.over, "pose": robot.believed()}
+        if what in robot.senses:
+            body = take_data(robot, str(what), reply, now)
+        elif what == "result":
+            gap = note_result(robot, request, reply, now)
         elif what == "drive":
             robot.forward, robot.turn, robot.told = (
                 float(request["forward"]),
@@ -166,6 +215,9 @@ def answer(robot: Robot, request: dict[str, object], payload: bytes) -> tuple[di
             body = robot.board.get(str(request["name"]), b"")
         elif what == "over":
             robot.over = reply["over"] = True
+        reply["taken"] = {name: sense.results for name, sense in robot.senses.items()}
+    if gap:
+        wire.report(gap_ms=1000 * gap)
     return reply, body
 
 
@@ -197,17 +249,16 @@ class Session(socketserver.StreamRequestHandler):
 def main() -> int:
     """Serve until TERM."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--robots", type=int, default=2, help="how many share the world")
     parser.add_argument("--check", action="store_true", help="ask whether it serves")
     args = parser.parse_args()
     if args.check:
         wire.own_robot().ask("pose")
         return 0
     name = os.environ.get("EDGECTL_ROBOT", "robot1")
-    number = (wire.port(name) - wire.PORT - 1) % args.robots + 1
+    number = max(1, wire.port(name) - wire.PORT)
     address = (os.environ.get("EDGECTL_ROBOT_HOST") or "127.0.0.1", wire.port(name))
     with Server(address, Session) as server:
-        server.robot = Robot(number, args.robots)
+        server.robot = Robot(number)
         sys.stdout.write("{} serves at {}:{}\n".format(name, *address))
         sys.stdout.flush()
         server.serve_forever()

@@ -1,4 +1,4 @@
-"""Messages between the programs of the mission: a line of JSON, then as many bytes as it states.
+"""Messages between the programs of the patrol: a line of JSON, then as many bytes as it states.
 
 Python >= 3.8, standard library only.
 """
@@ -105,6 +105,12 @@ class Pace:
         self.next = max(self.next, now) + self.every
 
 
+def give_result(robot: Link, of: str, number: int) -> float:
+    """Give the robot the result of data of this number; how old the data is by now (ms, by its clock)."""
+    who = f"{socket.gethostname()}/{os.getpid()}"
+    return float(robot.ask("result", of=of, number=number, who=who)[0]["age_ms"])
+
+
 def own_robot() -> Link:
     """The way to the robot that this task serves."""
     return Link(
@@ -116,6 +122,11 @@ def report(**values: float) -> None:
     """Add values to the metrics of this task, where edgectl asks for them; say them in the log."""
     sys.stdout.write(" ".join(f"{name}={value:.3f}" for name, value in values.items()) + "\n")
     sys.stdout.flush()
+    count(**values)
+
+
+def count(**values: float) -> None:
+    """Add values to the metrics of this task, of which each one counts."""
     path = os.environ.get("EDGECTL_METRICS")
     if path:
         with open(path, "a") as file:  # noqa: PTH123 - one short write, which other writers cannot cut in two

@@ -5,7 +5,10 @@ import random
 import subprocess
 import sys
 import threading
+import time
 from array import array
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,23 +16,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.experiments.lab.mission import MISSION, detection, follower, grid, mapper, robot, wire, world
+from tests.experiments.lab.patrol import PATROL, detection, follower, grid, mapper, radio, robot, wire, world
 
 PLAN = world.Plan()
 COLUMN, ROW = st.integers(0, world.WIDTH - 1), st.integers(0, world.HEIGHT - 1)
-STANDING = [point for number in (1, 2) for point in PLAN.tour(number, 2)]
+STANDING = [point for number in (3, 2, 1) for point in PLAN.tour(number)]
 
 
 def test_the_true_map_is_made_by_its_generator(tmp_path: Path) -> None:
-    subprocess.run([sys.executable, str(MISSION / "world.py"), str(tmp_path)], check=True)
+    subprocess.run([sys.executable, str(PATROL / "world.py"), str(tmp_path)], check=True)
     for name in ("world.pgm", "world.yaml"):
-        assert (tmp_path / name).read_bytes() == (MISSION / name).read_bytes()
+        assert (tmp_path / name).read_bytes() == (PATROL / name).read_bytes()
 
 
 def test_the_programs_run_on_python_3_8() -> None:
     vermin = Path(sys.executable).parent / "vermin"
     done = subprocess.run(
-        [vermin, "-q", "--no-tips", "-t=3.8-", "--violations", MISSION],
+        [vermin, "-q", "--no-tips", "-t=3.8-", "--violations", PATROL],
         capture_output=True,
         text=True,
         check=False,
@@ -37,9 +40,9 @@ def test_the_programs_run_on_python_3_8() -> None:
     assert done.returncode == 0, done.stdout
 
 
-@pytest.mark.parametrize("number", [1, 2])
+@pytest.mark.parametrize("number", [3, 2, 1])
 def test_a_robot_can_drive_its_tour(number: int) -> None:
-    tour = PLAN.tour(number, 2)
+    tour = PLAN.tour(number)
     for (x0, y0), (x1, y1) in pairwise(tour):
         for part in range(101):
             x, y = x0 + (x1 - x0) * part / 100, y0 + (y1 - y0) * part / 100
@@ -148,8 +151,11 @@ def test_nothing_is_found_in_noise() -> None:
 
 
 def a_robot() -> "robot.Robot":
-    made = robot.Robot(1, 2)
+    """It stands at the begin of its tour at 0 s, and knows what it saw just before."""
+    made = robot.Robot(1)
     made.moved = 0.0
+    for sense in made.senses.values():
+        sense.note(sense.take(-0.1), "edge1/1", 0.0)
     return made
 
 
@@ -182,25 +188,89 @@ def test_steering_turns_first_and_slows_down() -> None:
     assert (forward, turn) == (0.0, follower.FASTEST_TURN)
 
 
-def test_a_mapper_elsewhere_goes_on_with_the_map(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_robot_is_as_slow_as_its_results_are_old() -> None:
+    made = a_robot()
+    assert made.safe_speed(0.4) == pytest.approx(robot.SIGHT / 0.5)
+    made.senses["scan"].note(made.senses["scan"].take(0.4), "edge1/1", 0.4)
+    assert made.safe_speed(0.4) == pytest.approx(robot.SIGHT / 0.5), "the older of both senses counts"
+    made.senses["frame"].note(made.senses["frame"].take(0.4), "edge1/1", 0.4)
+    assert made.safe_speed(0.4) == pytest.approx(robot.SIGHT / robot.LEAST_AGE_S)
+    x = made.x
+    made.forward, made.told = 1.5, 100.0
+    made.moved = 100.0
+    made.move(100.4)
+    assert made.x - x < 0.01, "it does not drive on results of long ago"
+    assert robot.Robot(1).safe_speed(0.0) == 0.0, "nor without any"
+
+
+def test_a_sense_knows_the_age_of_a_result_and_the_gap_of_a_move() -> None:
+    sense = robot.Sense()
+    first, second, third = (sense.take(at) for at in (1.0, 2.0, 3.0))
+    assert sense.note(first, "edge1/7", 1.25) == (0.25, 0.0)
+    assert sense.note(second, "edge1/7", 2.5) == (0.5, 0.0)
+    assert sense.note(third, "edge2/9", 4.0) == (1.0, 1.5), (
+        "silent from 2.5 to 4 s, when another instance spoke"
+    )
+    assert (sense.results, sense.seen) == (3, 3.0)
+
+
+def test_a_mapper_knows_a_place_again_and_works_more_with_each() -> None:
+    known = mapper.Map(grid.empty(), [])
+    x, y = STANDING[1]
+    far = STANDING[4]
+    assert not known.learn([x, y, 0.0], a_scan(x, y))
+    assert len(known.places) == 1
+    assert known.learn([x, y, 1.0], a_scan(x, y, 1.0)), "from the same place in another direction"
+    assert not known.learn([*far, 0.0], a_scan(*far))
+    assert len(known.places) == 1 + 2 // mapper.PLACE_EVERY
+
+
+@contextmanager
+def serving(made: "robot.Robot") -> Iterator["wire.Link"]:
     with robot.Server(("127.0.0.1", 0), robot.Session) as server:
-        server.robot = robot.Robot(1, 2)
-        serving = threading.Thread(target=server.serve_forever, args=(0.05,))
-        serving.start()
+        server.robot = made
+        thread = threading.Thread(target=server.serve_forever, args=(0.05,))
+        thread.start()
         link = wire.Link("127.0.0.1", "robot1")
         link.where = ("127.0.0.1", server.server_address[1])
         try:
-            assert mapper.begin(link) == grid.empty()
-            first = grid.empty()
-            first[7] = 42
-            link.ask("put", first.tobytes(), name="map")
-            assert mapper.begin(link) == first
-            server.robot.over = True
-            assert mapper.work(link, first, 100.0, mapper.Leave())
+            yield link
         finally:
             link.close()
             server.shutdown()
-            serving.join()
+            thread.join()
+
+
+def test_a_mapper_elsewhere_goes_on_with_the_map() -> None:
+    made = robot.Robot(1)
+    with serving(made) as link:
+        assert mapper.begin(link).cells == grid.empty()
+        first = mapper.Map(grid.empty(), [array("H", range(mapper.BEAMS))])
+        first.cells[7] = 42
+        mapper.leave_map(link, first, "map")
+        again = mapper.begin(link)
+        assert (again.cells, again.places) == (first.cells, first.places)
+        made.over = True
+        assert mapper.work(link, first, 100.0, mapper.Leave())
+
+
+def test_a_result_is_as_old_as_its_picture_by_the_clock_of_the_robot() -> None:
+    made = robot.Robot(1)
+    with serving(made) as link:
+        header, pixels = link.ask("frame")
+        assert len(pixels) == robot.COLUMNS * robot.ROWS
+        time.sleep(0.05)
+        assert 50.0 <= wire.give_result(link, "frame", header["number"]) < 1000.0 * wire.PATIENCE_S
+        assert link.ask("pose")[0]["taken"] == {"frame": 1, "scan": 0}
+
+
+def test_a_radio_without_links_to_shape_says_so(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("EDGECTL_PATROL_RADIO", raising=False)
+    monkeypatch.setattr(sys, "argv", ["radio.py", "robot1=edge1"])
+    assert radio.main() == 0
+    assert capsys.readouterr().out == "no links to shape here\n"
 
 
 def test_metrics_are_lines_of_name_and_value(

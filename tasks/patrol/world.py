@@ -1,5 +1,5 @@
-"""The world of the mission: a small floor plan, its obstacles, the tours of the robots, and ray casting for
-their lasers.
+"""The world of the patrol: a small floor plan in three areas, its obstacles, the tours of the robots, and ray
+casting for their lasers.
 
     python3 world.py DIRECTORY        writes world.pgm and world.yaml, as map_server does: the true map
 
@@ -76,13 +76,17 @@ class Plan:
         middle = (bottom + top) / 2
         return [(metres(door), metres(sum(CORRIDOR) / 2)), (metres(door), metres(middle))]
 
-    def tour(self, robot: int, robots: int) -> list[tuple[float, float]]:
-        """Where robot number ``robot`` (from 1) of ``robots`` stops: its share of the rooms, each through its
-        door and back out.
+    def tour(self, robot: int) -> list[tuple[float, float]]:
+        """Where robot number ``robot`` (from 1) stops: in a room of each area, through its door and back out.
+
+        Each robot begins in another area, with the room below the corridor; then it takes those above. Three
+        robots see all rooms.
         """
-        count = len(self.stops)
-        share = self.stops[count * (robot - 1) // robots : count * robot // robots]
-        return [point for door, middle in share for point in (door, middle, door)]
+        found = []
+        for visit in range(ROOMS):
+            door, middle = self.stops[2 * ((robot - 1 + visit) % ROOMS) + (visit == 0)]
+            found += [door, middle, door]
+        return found
 
     def free(self, x: float, y: float) -> bool:
         """Whether nothing stands there."""

@@ -1,0 +1,1 @@
+../../../../tasks/patrol/merger.py
