@@ -7,6 +7,7 @@ from pathlib import Path
 
 from edgectl.errors import EdgectlError, FleetBusyError, UsageError
 from edgectl.executor.operator_plans import list_running_instances
+from edgectl.experiments.event_actions import Ask, ask_nobody
 from edgectl.experiments.files.run_codec import digest_experiment
 from edgectl.experiments.files.run_directory import load_run, load_run_to_resume, save_run, save_trial
 from edgectl.experiments.model.experiment import (
@@ -45,7 +46,7 @@ class ExperimentOptions:
     of a watch.
 
     ``listener`` receives progress. ``control`` ends the run early. ``debug``: a bug raises instead of failing
-    its cycle.
+    its cycle. ``ask``: puts the requests of events to a person.
     """
 
     directory: Path
@@ -54,6 +55,7 @@ class ExperimentOptions:
     listener: TrialListener = ignore_trial_progress
     control: Control = field(default_factory=Control)
     debug: bool = False
+    ask: Ask = ask_nobody
 
 
 def run_experiment(fleet: Fleet, experiment: Experiment, options: ExperimentOptions) -> ExperimentRun:
@@ -222,6 +224,7 @@ def _run_and_save_trial(
         listener=_build_cycle_listener(fleet, progress, options.listener),
         control=options.control,
         debug=options.debug,
+        ask=options.ask,
     )
     try:
         trial = run_trial(fleet, experiment, scheme, progress.repetition, snapshot, trial_options)

@@ -1,10 +1,10 @@
 """Simulate a mission several times under each scheme, with random numbers from a seed."""
 
-import random
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
+from edgectl.experiments.event_draws import build_uniform_draw, create_stream
 from edgectl.experiments.model.comparison import SchemeResult
 from edgectl.experiments.model.scenario import Scenario
 from edgectl.experiments.model.schemes import Scheme
@@ -28,15 +28,15 @@ def simulate_schemes(
 ) -> Iterator[SchemeResult]:
     """Results of each scheme over the same ``runs`` random draws; the same seed gives the same results."""
     for scheme in schemes:
-        generators = (random.Random(f"{seed}/{run}") for run in range(runs))  # noqa: S311 - not for security
         sim_runs = [
             simulate_mission(
                 inventory,
                 tasks,
                 scenario,
                 replace(scheme.policy, seed=_MAX_RUNS * seed + run),
-                partial(each.gauss, 0.0, 1.0),
+                partial(create_stream(f"{seed}/{run}").gauss, 0.0, 1.0),
+                build_uniform_draw(f"{seed}/{run}"),
             )
-            for run, each in enumerate(generators)
+            for run in range(runs)
         ]
         yield summarize_sim_runs(inventory, scheme, sim_runs)

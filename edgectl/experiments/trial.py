@@ -1,5 +1,6 @@
 """A trial of an experiment: deploy a mission as a new manager, watch it, score its maps, clear the fleet."""
 
+import threading
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -7,7 +8,12 @@ from pathlib import Path
 
 from edgectl.errors import EdgectlError, FleetBusyError
 from edgectl.executor.operator_plans import build_stop_plan, list_running_instances
+from edgectl.experiments.event_actions import Ask, EventMeans, ask_nobody
+from edgectl.experiments.event_draws import build_uniform_draw
+from edgectl.experiments.event_performer import EventPerformer
+from edgectl.experiments.held_changes import undo_held_changes
 from edgectl.experiments.model.experiment import Experiment, MapPair, Trial
+from edgectl.experiments.model.mission_event import select_present_tasks
 from edgectl.experiments.model.schemes import Scheme
 from edgectl.experiments.trial_recorder import TrialRecorder
 from edgectl.experiments.trial_state import (
@@ -21,6 +27,7 @@ from edgectl.experiments.trial_state import (
 from edgectl.gateway.fetch import fetch_file
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.cycle import Cycle
+from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot
 from edgectl.usecases.control import Control
 from edgectl.usecases.fleet import Fleet
@@ -43,13 +50,15 @@ class TrialOptions:
 
     ``listener`` is called after each cycle.
 
-    ``control`` ends the trial early. ``debug``: a bug raises instead of failing its cycle.
+    ``control`` ends the trial early. ``debug``: a bug raises instead of failing its cycle. ``ask``: puts the
+    requests of events to a person.
     """
 
     spec_directory: Path
     listener: CycleListener
     control: Control
     debug: bool = False
+    ask: Ask = ask_nobody
 
 
 def run_trial(
@@ -66,40 +75,98 @@ def run_trial(
     """
     trial_fleet = create_trial_fleet(fleet, f"{scheme.name.replace(' ', '-')}-{repetition}", before)
     recorder = TrialRecorder(experiment.until)
+    means = EventMeans(fleet=trial_fleet, ask=options.ask, ended=threading.Event())
+    # Draws of a policy are those of the repetition, as the times of events.
+    seeded = replace(scheme, policy=replace(scheme.policy, seed=repetition))
+    with EventPerformer(experiment.events, means, build_uniform_draw(str(repetition))) as performer:
+        watch_options = _build_watch_options(trial_fleet, experiment, seeded, recorder, performer, options)
+        first = replace(trial_fleet, tasks=select_present_tasks(fleet.tasks, experiment.events, ()))
+        if not _watch_mission(first, experiment, recorder, performer, watch_options, options.listener):
+            return None
+        ended = trial_fleet.clock()
+        events = performer.finish()
+    ssim = _score_maps(trial_fleet, experiment, recorder.places, options.spec_directory)
+    return recorder.build_trial(
+        scheme.name, repetition, limit=experiment.limit, ended=ended, ssim=ssim, events=events
+    )
+
+
+def _build_watch_options(
+    trial_fleet: Fleet,
+    experiment: Experiment,
+    scheme: Scheme,
+    recorder: TrialRecorder,
+    performer: EventPerformer,
+    options: TrialOptions,
+) -> WatchOptions:
+    def begin_and_get_policy(_fleet: Fleet) -> Policy:
+        """The policy; a mission begins with its first plan."""
+        performer.begin_mission()
+        return scheme.policy
+
     window = min(_TRIAL_PROBE_WINDOW_S, experiment.every / 2)
-    watch_options = WatchOptions(
+    return WatchOptions(
         every=experiment.every,
         apply=True,
         debug=options.debug,
         probe=ProbeOptions(window=window, timeout=_TRIAL_PROBE_TIMEOUT_S),
-        policy=lambda _: replace(scheme.policy, seed=repetition),
+        policy=begin_and_get_policy,
+        refresh=_build_refresh(trial_fleet, experiment, performer),
         execution=ApplyOptions(progress=lambda event: recorder.record_progress(event, trial_fleet.clock())),
         control=options.control,
     )
-    began = trial_fleet.clock()
-    with closing(watch_fleet(trial_fleet, watch_options)) as cycles:
+
+
+def _build_refresh(
+    trial_fleet: Fleet, experiment: Experiment, performer: EventPerformer
+) -> Callable[[], Fleet | None]:
+    """The fleet with the tasks that have entered, whenever there are more of them than at the last call."""
+    present = select_present_tasks(trial_fleet.tasks, experiment.events, ()).tasks.keys()
+
+    def refresh() -> Fleet | None:
+        nonlocal present
+        tasks = select_present_tasks(trial_fleet.tasks, experiment.events, performer.happened)
+        if tasks.tasks.keys() == present:
+            return None
+        present = tasks.tasks.keys()
+        return replace(trial_fleet, tasks=tasks)
+
+    return refresh
+
+
+def _watch_mission(
+    fleet: Fleet,
+    experiment: Experiment,
+    recorder: TrialRecorder,
+    performer: EventPerformer,
+    watch_options: WatchOptions,
+    listener: CycleListener,
+) -> bool:
+    """Watch until the mission is over, at its limit at the latest; False where it was interrupted."""
+    began = fleet.clock()
+    with closing(watch_fleet(fleet, watch_options)) as cycles:
         for cycle in cycles:
             recorder.record_cycle(cycle)
-            options.listener(recorder, cycle)
-            over = trial_fleet.clock() - (recorder.began or began) >= experiment.limit
+            listener(recorder, cycle)
+            over = fleet.clock() - (recorder.began or began) >= experiment.limit
             if recorder.finished or recorder.has_given_up or over:
-                break
-        else:
-            return None
-    ended = trial_fleet.clock()
-    ssim = _score_maps(trial_fleet, experiment, recorder.places, options.spec_directory)
-    return recorder.build_trial(scheme.name, repetition, limit=experiment.limit, ended=ended, ssim=ssim)
+                return True
+            performer.see_cycle(cycle)
+    return False
 
 
 def clean_up_trials(fleet: Fleet) -> None:
-    """Stop tasks that trials left running, verify that they have stopped, and delete the state of the trials.
+    """Undo what events of trials have left, stop their tasks, verify that they have stopped, and delete the
+    state of the trials.
 
     Tasks that another edgectl has started or changed since are left alone. The caller holds the fleet's lock.
 
     Raises:
-        FleetBusyError: a task does not stop, or a host that may run one does not answer.
+        FleetBusyError: a change is not undone, a task does not stop, or a host that may run one does not
+            answer.
     """
     for trial_fleet in reopen_trial_fleets(fleet):
+        undo_held_changes(trial_fleet)
         generations = load_started_generations(trial_fleet)
         unchanged = is_fleet_state_unchanged(fleet, trial_fleet)
         snapshot = _stop_trial_tasks(trial_fleet, generations) if unchanged else _probe_all_hosts(trial_fleet)

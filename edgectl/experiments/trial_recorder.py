@@ -14,6 +14,7 @@ from edgectl.experiments.model.experiment import (
     PlacementInterval,
     Trial,
 )
+from edgectl.experiments.model.mission_event import EventRecord
 from edgectl.model.cycle import Cycle
 from edgectl.model.latency import LatencySample, list_latency_readings, merge_latencies
 from edgectl.model.plan import Action
@@ -22,7 +23,7 @@ from edgectl.model.result import ActionResult, Outcome, Phase
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
 
 TaskHostPair = tuple[str, str]  # task, host
-Timed = TypeVar("Timed", LoadSample, MetricReading, HandoffRecord)
+Timed = TypeVar("Timed", LoadSample, MetricReading, HandoffRecord, EventRecord)
 
 
 class TrialRecorder:
@@ -75,7 +76,14 @@ class TrialRecorder:
         self._pending_events.clear()
 
     def build_trial(
-        self, scheme: str, repetition: int, *, limit: float, ended: float, ssim: dict[str, float]
+        self,
+        scheme: str,
+        repetition: int,
+        *,
+        limit: float,
+        ended: float,
+        ssim: dict[str, float],
+        events: Iterable[EventRecord] = (),
     ) -> Trial:
         """The trial; intervals that are still open end at ``ended``."""
         began = ended if self.began is None else self.began
@@ -102,6 +110,7 @@ class TrialRecorder:
                 for name, tasks in sorted(self._readings.items())
             },
             ssim=ssim,
+            events=tuple(_rebase_events(events, began)),
         )
 
     def _record_snapshot(self, snapshot: Snapshot) -> None:
@@ -206,3 +215,8 @@ def _build_intervals(
 def _rebase_on_trial_start(entries: Iterable[Timed], began: float) -> Iterable[Timed]:
     """The entries with times counted from ``began``."""
     return (replace(entry, at=max(0.0, entry.at - began)) for entry in entries)
+
+
+def _rebase_events(records: Iterable[EventRecord], began: float) -> Iterable[EventRecord]:
+    for record in _rebase_on_trial_start(records, began):
+        yield replace(record, until=None if record.until is None else max(0.0, record.until - began))

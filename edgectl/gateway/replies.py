@@ -34,6 +34,12 @@ def _clean_lines(lines: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(escape_unprintable(line[:_MAX_LINE]) for line in lines[-_MAX_LINES:])
 
 
+def _clean_last_line(text: str) -> str:
+    lines = text.strip().splitlines()
+    return escape_unprintable(lines[-1][:_MAX_LINE]) if lines else ""
+
+
+LastLine = Annotated[str, Converted(convert=_clean_last_line)]
 Lines = Annotated[tuple[str, ...], Converted(convert=_clean_lines)]
 ALONE = EachAlone()
 Amount = Annotated[float, Bounds(maximum=_MAX_NUMBER)]
@@ -320,6 +326,15 @@ class LiveProfilerReply:
     ttl: Age = field(metadata=in_document("ttl_s"))
     ttl_left: Clock = field(metadata=in_document("ttl_left_s"))
     current: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProgramReply:
+    """Result of a program; ``exit``: None where it did not end in time. ``output``: its last line."""
+
+    exit: ExitStatus | None = None
+    timed_out: bool = False
+    output: LastLine = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

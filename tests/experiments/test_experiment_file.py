@@ -11,8 +11,9 @@ from edgectl.experiments.model.experiment import Experiment, MapPair, MetricAggr
 from edgectl.model.check import Check
 from edgectl.model.policy import Policy, PolicyName
 from edgectl.model.task import TaskKind, Tasks
-from tests.builders import a_task, some_tasks
+from tests.builders import a_robot, a_task, an_edge, an_inventory, some_tasks
 
+FLEET = an_inventory(an_edge("zinc"), an_edge("mint"), an_edge("alder"), a_robot("rover2"), a_robot("rover1"))
 TASKS: Tasks = some_tasks(
     a_task("map-merge", kind=TaskKind.JOB),
     a_task("slam"),
@@ -39,7 +40,7 @@ def read(tmp_path: Path, text: str) -> Experiment:
     (tmp_path / "world.yaml").touch()
     path = tmp_path / "spec.yaml"
     path.write_text(text)
-    return load_experiment(path, TASKS)
+    return load_experiment(path, FLEET, TASKS)
 
 
 def test_a_good_spec_says_all_there_is(tmp_path: Path) -> None:
@@ -68,7 +69,7 @@ def test_a_template_stands_for_all_of_its_tasks(tmp_path: Path) -> None:
     path = tmp_path / "spec.yaml"
     path.write_text("version: 1\nname: short\nuntil: [tour, tour-robot2]\n")
     tours = [a_task(f"tour-robot{number}", template="tour", kind=TaskKind.JOB) for number in (1, 2)]
-    assert load_experiment(path, some_tasks(*tours)).until == ("tour-robot1", "tour-robot2")
+    assert load_experiment(path, FLEET, some_tasks(*tours)).until == ("tour-robot1", "tour-robot2")
 
 
 def test_a_short_spec_compares_as_simulate_does(tmp_path: Path) -> None:
@@ -155,5 +156,5 @@ def test_that_others_may_write_the_file_is_noticed(tmp_path: Path) -> None:
     read(tmp_path, GOOD)
     (tmp_path / "spec.yaml").chmod(0o666)
     problems = Problems()
-    load_experiment(tmp_path / "spec.yaml", TASKS, problems)
+    load_experiment(tmp_path / "spec.yaml", FLEET, TASKS, problems)
     assert [problem.code for problem in problems.warnings] == ["EC104"]

@@ -127,6 +127,8 @@ def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C90
         from ..supervise.status import mark_task as operation
     elif name == protocol.OP_CHECK:
         from ..ros.question import run_check as operation
+    elif name == protocol.OP_RUN:
+        from ..supervise.shell import run_program as operation
     elif name == protocol.OP_GRAPH:
         from ..ros.live import describe_graph as operation
     elif name == protocol.OP_HEAR:

@@ -29,6 +29,7 @@ OP_PROFILER_START = "profiler-start"
 OP_PROFILER_STATUS = "profiler-status"
 OP_PROFILER_STOP = "profiler-stop"
 OP_READ_STATE = "read-state"
+OP_RUN = "run"
 OP_SAMPLE_LINK = "sample-link"
 OP_SAVE_STATE = "save-state"
 OP_SEND = "send"
@@ -105,6 +106,7 @@ REQUEST_KEYS = {
     OP_PROFILER_STATUS: ("links", "peers", "detect"),
     OP_PROFILER_STOP: (),
     OP_READ_STATE: ("task", "offset"),
+    OP_RUN: ("argv", "timeout_s"),
     OP_SAMPLE_LINK: ("address", "port", "token", "seconds", "rate_bytes_per_s"),
     OP_SAVE_STATE: (
         "task",

@@ -53,6 +53,7 @@ def experiment_run_command(
     from edgectl.cli.signals import stop_control_on_signal
     from edgectl.cli.user_files import select_exposed
     from edgectl.config.problems import Problems
+    from edgectl.experiments.commands.person import ask_person
     from edgectl.experiments.files.experiment_file import load_experiment, load_experiment_paths
     from edgectl.experiments.runner import ExperimentOptions, run_experiment
     from edgectl.experiments.views.progress import show_trial_progress
@@ -61,7 +62,7 @@ def experiment_run_command(
     named_inventory, named_tasks = load_experiment_paths(spec)
     loaded = load_inputs(inventory or named_inventory, tasks or ([named_tasks] if named_tasks else None))
     problems = Problems()
-    experiment = load_experiment(spec, loaded.tasks, problems)
+    experiment = load_experiment(spec, loaded.inventory, loaded.tasks, problems)
     loaded = replace(loaded, exposed=(*loaded.exposed, *select_exposed(problems.warnings)))
     experiment = replace(experiment, repetitions=repetitions or experiment.repetitions)
     _check_truth_maps(experiment, spec.parent)
@@ -77,6 +78,7 @@ def experiment_run_command(
             listener=listener,
             control=control,
             debug=bool(os.environ.get("EDGECTL_DEBUG")),
+            ask=ask_person,
         )
         run = run_experiment(build_fleet(loaded, accept_new=accept_new, asking=False), experiment, given)
     _print_experiment(output, run)

@@ -6,7 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from edgectl.agent.link import protocol
-from edgectl.config.fields import Fields, list_reader_with_nodes, mapping_reader, read_fields, record_reader
+from edgectl.config.fields import (
+    Fields,
+    keep_node,
+    list_reader_with_nodes,
+    mapping_reader,
+    read_fields,
+    record_reader,
+)
 from edgectl.config.node import Node
 from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.scalars import (
@@ -33,11 +40,14 @@ from edgectl.config.schema import (
 from edgectl.config.source import read_source
 from edgectl.config.weights import parse_weights
 from edgectl.config.yaml_parser import parse_yaml
+from edgectl.experiments.files.event_keys import EXPERIMENT_EVENT_KEYS, build_events_schema
+from edgectl.experiments.files.event_readers import can_complete, read_experiment_events
 from edgectl.experiments.files.fleet_files import resolve_fleet_files
 from edgectl.experiments.model.experiment import Experiment, MapPair, MetricAggregation
 from edgectl.experiments.model.schemes import Scheme, build_schemes
+from edgectl.model.inventory import Inventory
 from edgectl.model.policy import WEIGHT_PRESETS, Policy, PolicyName, Weights
-from edgectl.model.task import Task, TaskKind, Tasks
+from edgectl.model.task import Tasks
 from edgectl.units import QuantityError, parse_duration, parse_share
 
 EntriesWithNodes = tuple[tuple[Any, Node], ...]
@@ -121,6 +131,7 @@ EXPERIMENT_KEYS: Mapping[str, NodeReader] = {
         "a column",
         record_reader(MAP_PAIR_KEYS, MapPair, "a map", ("task", "file", "truth")),
     ),
+    "events": keep_node,
 }
 
 
@@ -129,7 +140,12 @@ _REQUIRED_KEYS = ("version", "name", "until")
 
 def build_experiment_schema() -> Schema:
     """JSON Schema of an experiment file."""
-    return build_file_schema("experiment", build_object_schema(EXPERIMENT_KEYS, _REQUIRED_KEYS))
+    return build_file_schema(
+        "experiment",
+        build_object_schema(
+            EXPERIMENT_KEYS, _REQUIRED_KEYS, events=build_events_schema(EXPERIMENT_EVENT_KEYS)
+        ),
+    )
 
 
 def load_experiment_paths(path: Path) -> tuple[Path | None, Path | None]:
@@ -141,8 +157,10 @@ def load_experiment_paths(path: Path) -> tuple[Path | None, Path | None]:
     return resolve_fleet_files(path, *_read_experiment_fields(path))
 
 
-def load_experiment(path: Path, tasks: Tasks, problems: Problems | None = None) -> Experiment:
-    """The experiment in a file, for the tasks of a fleet; ``problems`` collects the warnings.
+def load_experiment(
+    path: Path, inventory: Inventory, tasks: Tasks, problems: Problems | None = None
+) -> Experiment:
+    """The experiment in a file, for a fleet; ``problems`` collects the warnings.
 
     Paths of ground truth maps stay relative to the file.
 
@@ -150,7 +168,7 @@ def load_experiment(path: Path, tasks: Tasks, problems: Problems | None = None) 
         InputError: all faults of the file.
     """
     fields, problems = _read_experiment_fields(path, problems)
-    experiment = _build_experiment(fields, path.parent, tasks, problems) if fields else None
+    experiment = _build_experiment(fields, path.parent, inventory, tasks, problems) if fields else None
     problems.check()
     assert experiment is not None  # noqa: S101 - no problems: it was read
     return experiment
@@ -167,7 +185,9 @@ def _read_experiment_fields(path: Path, problems: Problems | None = None) -> tup
     ), problems
 
 
-def _build_experiment(fields: Fields, directory: Path, tasks: Tasks, problems: Problems) -> Experiment:
+def _build_experiment(
+    fields: Fields, directory: Path, inventory: Inventory, tasks: Tasks, problems: Problems
+) -> Experiment:
     values = fields.values
     if "name" in values and not NAME_PATTERN.fullmatch(values["name"]):
         check_name(values["name"], fields.at("name"), problems, "an experiment")
@@ -181,6 +201,9 @@ def _build_experiment(fields: Fields, directory: Path, tasks: Tasks, problems: P
         name=values.get("name", ""),
         schemes=_build_experiment_schemes(values.get("schemes"), tasks.policy, problems),
         until=tuple(dict.fromkeys(_resolve_until_tasks(fields, tasks, problems))),
+        events=read_experiment_events(fields.at("events"), inventory, tasks, problems)
+        if "events" in fields
+        else (),
         **given,
     )
 
@@ -220,7 +243,7 @@ def _resolve_until_tasks(fields: Fields, tasks: Tasks, problems: Problems) -> It
         named = [task for task in tasks.tasks.values() if name in (task.name, task.template)]
         if not named:
             _check_task_exists(node, name, tasks, problems)
-        elif not all(map(_can_complete, named)):
+        elif not all(map(can_complete, named)):
             message = f"{name} never completes, so a trial would not end"
             problems.add(
                 node.mark,
@@ -229,10 +252,6 @@ def _resolve_until_tasks(fields: Fields, tasks: Tasks, problems: Problems) -> It
                 "name a task with kind: job or done_when, or add one of them to the task",
             )
         yield from (task.name for task in named)
-
-
-def _can_complete(task: Task) -> bool:
-    return task.managed and (task.kind is TaskKind.JOB or task.done_when is not None)
 
 
 def _check_map_pairs(

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated
 
+from edgectl.experiments.model.mission_event import EventRecord, MissionEvent
 from edgectl.experiments.model.schemes import Scheme
 from edgectl.model.cycle import Cycle
 from edgectl.model.encoding import Bounds, Columns, FromOne, Instant, Positive, Rounded, in_document
@@ -50,6 +51,7 @@ class Experiment:
     sampling and planning in s. ``idle``: highest CPU utilisation of a host before a trial, 0..1. ``metrics``:
     of the application, in the order of the table. ``maps``: by column of the table, maps scored by SSIM.
     ``equivalence``: schemes whose missions differ by less than this share count as equal.
+    ``events``: what changes during a trial.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Experiment:
     metrics: Mapping[str, MetricAggregation] = field(default_factory=dict, metadata=_WRITTEN)
     maps: Mapping[str, MapPair] = field(default_factory=dict, metadata=_WRITTEN)
     equivalence: Positive | None = None
+    events: tuple[MissionEvent, ...] = field(default=(), metadata=in_document(keyed_by="name"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,6 +125,7 @@ class Trial:
     ``latency``: s from the first plan to the completion of the last task in ``until``; the time limit if not
     ``finished``. ``completed``: by task, s after the start of the trial. ``unplaced``: tasks without a host,
     summed over all plans. ``loads``: by host. ``readings``: by metric, then task. ``ssim``: by column, -1..1.
+    ``events``: what happened, in the order of time.
     """
 
     scheme: str
@@ -140,6 +144,7 @@ class Trial:
         default_factory=dict, metadata=_WRITTEN
     )
     ssim: Mapping[str, Similarity] = field(default_factory=dict, metadata=_WRITTEN)
+    events: tuple[EventRecord, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,8 +16,8 @@ def test_the_shipped_spec_is_good() -> None:
     inventory, tasks = load_experiment_paths(MISSION / "experiment.yaml")
     assert inventory is not None
     assert tasks is not None
-    _, loaded, warnings = load_inventory_and_tasks(inventory, [tasks])
-    spec = load_experiment(MISSION / "experiment.yaml", loaded)
+    fleet, loaded, warnings = load_inventory_and_tasks(inventory, [tasks])
+    spec = load_experiment(MISSION / "experiment.yaml", fleet, loaded)
     assert warnings == ()
     assert [variant.name for variant in spec.schemes] == [
         "local",
