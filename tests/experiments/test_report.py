@@ -86,6 +86,8 @@ def a_page(run: ExperimentRun, *, drawn: bool = True) -> str:
     table = ReportTable(
         rows=[["SCHEME", "LATENCY s"], *([variant.name, "1±2/3±4"] for variant in run.experiment.schemes)],
         notes=["A note."],
+        answer="utility <all> finished sooner.",
+        compared=[["SCHEME", "AGAINST", "RATIO"], ["utility all", "static", "0.84 [0.73, 0.96]"]],
     )
     return render_report_page(
         run,
@@ -272,6 +274,14 @@ def test_every_name_stands_in_the_page() -> None:
     assert run.digest in words
     assert "2026-11-21T11:00:00Z" in words
     assert "A note." in words
+
+
+def test_the_page_opens_with_the_answer() -> None:
+    text = a_page(a_run(SCHEMES[1:3], 1), drawn=False)
+    assert '</h1>\n<p class="answer">utility &lt;all&gt; finished sooner.</p>\n' in text
+    words = Outline(text).words
+    assert words.index("sooner.") < words.index("Table")
+    assert words.index("AGAINST") < words.index("0.84 [0.73, 0.96]") < words.index("Figures")
 
 
 def test_drawings_are_whole_and_never_vary() -> None:

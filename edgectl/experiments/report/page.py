@@ -25,10 +25,15 @@ class EmbeddedFigure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportTable:
-    """Rows of cells, the first one the heading, and the notes below."""
+    """Rows of cells, the first one the heading, and the notes below.
+
+    ``answer``: the sentence that opens the page. ``compared``: rows of the comparisons; empty without any.
+    """
 
     rows: Sequence[Sequence[str]]
     notes: Sequence[str]
+    answer: str
+    compared: Sequence[Sequence[str]] = ()
 
 
 def render_report_page(run: ExperimentRun, table: ReportTable, figures: Sequence[EmbeddedFigure]) -> str:
@@ -54,6 +59,8 @@ def render_report_page(run: ExperimentRun, table: ReportTable, figures: Sequence
         unfinished=[(trial.scheme, trial.repetition) for trial in run.trials if not trial.finished],
         table=list(zip(*table.rows, strict=True)),
         notes=table.notes,
+        answer=table.answer,
+        compared=table.compared,
         figures=figures,
         moves=list(_build_handoff_rows(run)),
     )

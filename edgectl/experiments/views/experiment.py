@@ -63,7 +63,7 @@ class ExperimentView(ItemView):
         lines = [heading, ["---", *["---:"] * (len(heading) - 1)]]
         lines += ([escape_markdown(cell) for cell in row] for row in body)
         rows = "".join(f"| {' | '.join(line)} |\n" for line in lines)
-        notes = describe_experiment(self.run.experiment, self.results, self.comparisons, every=True)
+        notes = self._list_notes(every=True)
         return rows + "\n" + "".join(f"- {escape_markdown(note)}\n" for note in notes)
 
     def item(self) -> Document:
@@ -91,11 +91,16 @@ class ExperimentView(ItemView):
 
     def _render(self, look: RenderOptions, *, every: bool) -> str:
         rows = build_experiment_rows(self.run.experiment, self.results, every=every)
-        notes = describe_experiment(self.run.experiment, self.results, self.comparisons, every=every)
-        text = "".join(wrap_text(escape_unprintable(note), look) for note in notes)
+        text = "".join(wrap_text(escape_unprintable(note), look) for note in self._list_notes(every=every))
         columns = list_compared_columns(self.run.experiment, self.results, every=every)
         compared = render_comparison_table(self.comparisons, columns, look)
         return f"{render_scheme_table(rows, look)}\n{compared}{text}"
+
+    def _list_notes(self, *, every: bool) -> Iterator[str]:
+        """The answer, where there is one, and the notes on the tables."""
+        if self.comparisons:
+            yield describe_answer(find_primary_comparison(self.comparisons))
+        yield from describe_experiment(self.run.experiment, self.results, self.comparisons, every=every)
 
 
 def build_experiment_rows(
@@ -147,9 +152,7 @@ def describe_experiment(
     *,
     every: bool = False,
 ) -> Iterator[str]:
-    """The notes below the table of the same ``every``: the answer first."""
-    if comparisons:
-        yield describe_answer(find_primary_comparison(comparisons))
+    """The notes below the table of the same ``every``."""
     done, planned = sum(result.runs for result in results), experiment.repetitions * len(results)
     hosts = next((result.hosts for result in results if result.hosts), ())
     by_edge = f", by edge ({'/'.join(hosts)}; local: mean of the robots)" if hosts else ""
