@@ -443,6 +443,30 @@ def test_each_scheme_keeps_its_colour() -> None:
     )
 
 
+def test_a_colour_means_one_thing() -> None:
+    """Full colours are schemes, light ones hosts; a dozen schemes have a colour each."""
+    from edgectl.experiments.report.figure_style import FAINT, GRID, INK, SCHEME_COLOURS
+    from edgectl.experiments.report.gantt_chart import _HOST_COLOURS
+
+    used = [*SCHEME_COLOURS, *_HOST_COLOURS, INK, FAINT, GRID]
+    assert len(SCHEME_COLOURS) == 12
+    assert len(set(used)) == len(used)
+    assert max(map(luminance, SCHEME_COLOURS)) < min(map(luminance, _HOST_COLOURS))
+
+
+@pytest.mark.parametrize("latency", [60.0, 180.0])
+def test_times_of_missions_have_one_unit(latency: float) -> None:
+    run = a_run(SCHEMES[1:3], 2)
+    run = replace(run, trials=tuple(replace(each, latency=latency) for each in run.trials))
+    words = Outline(a_page(run)).words
+    units = {
+        unit
+        for unit in ("s", "min")
+        if f"({unit})" in re.sub(r"[Dd]owntime[^(]*\(s\)|greatest \(s\)", "", words)
+    }
+    assert units == ({"s"} if latency < 120 else {"min"})
+
+
 @pytest.mark.parametrize("ground", [1.0, 0.0], ids=["white", "black"])
 def test_colours_stand_out_on_paper_and_on_a_dark_screen(ground: float) -> None:
     """WCAG's contrast for graphics is 3:1."""

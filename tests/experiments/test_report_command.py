@@ -37,7 +37,9 @@ def test_the_newest_run_is_reported_beside_its_files(run: Run) -> None:
 def test_the_answer_and_its_bound_open_the_page(run: Run) -> None:
     kept(Path("runs/mission"), without_series(a_run(SCHEMES[1:3], 3)))
     assert run("report").code == 0
-    assert '<p class="answer">utility cpu finished the mission' in Path("runs/mission/report.html").read_text()
+    assert (
+        '<p class="answer">utility cpu finished the mission' in Path("runs/mission/report.html").read_text()
+    )
     assert run("report", "--equivalence", "90%").code == 0
     text = Path("runs/mission/report.html").read_text()
     assert "within 90 %" in text

@@ -53,7 +53,6 @@ def report_command(
     from edgectl.cli.user_files import make_directory, save_file
     from edgectl.experiments.files.run_directory import load_run
 
-    bound = parse_equivalence(equivalence)
     # matplotlib logs the building of its font cache, which is of no interest here.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     with require_extra("report"):
@@ -66,10 +65,12 @@ def report_command(
             f"{directory} has no finished trial yet",
             hint="wait for the first one, or resume: edgectl experiment run SPEC",
         )
+    bound = parse_equivalence(equivalence) or loaded.experiment.equivalence
     if figures is not None:
         make_directory(figures)
     page = out or directory / "report.html"
-    for path, data in build_report_files(loaded, _build_report_table(loaded, bound), page, figures):
+    table = _build_report_table(loaded, bound)
+    for path, data in build_report_files(loaded, table, page, figures, bound):
         save_file(path, data)
         console.print_text(f"{path}\n")
 
@@ -77,7 +78,7 @@ def report_command(
 def _build_report_table(run: "ExperimentRun", bound: float | None) -> "ReportTable":
     """The answer, the wide table of ``experiment show``, and the comparisons of all metrics.
 
-    ``bound``: of equivalence, instead of that of the experiment file.
+    ``bound``: of equivalence.
     """
     from edgectl.experiments.report.page import ReportTable
     from edgectl.experiments.scheme_comparison import compare_schemes, find_primary_comparison
@@ -91,7 +92,7 @@ def _build_report_table(run: "ExperimentRun", bound: float | None) -> "ReportTab
     )
 
     results = summarize_trials(run)
-    compared = compare_schemes(results, bound or run.experiment.equivalence)
+    compared = compare_schemes(results, bound)
     columns = list_compared_columns(run.experiment, results, every=True)
     return ReportTable(
         rows=_list_row_texts(build_experiment_rows(run.experiment, results, every=True)),

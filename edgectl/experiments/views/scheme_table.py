@@ -9,8 +9,8 @@ from edgectl.formats.document import Document, encode_number
 from edgectl.views.text import Cell, RenderOptions, Row, measure_column_widths, render_columns
 
 _COLUMN_GAP = "  "
-# Mean latencies below this are shown in seconds.
-_SHORT_LATENCY_MIN = 2.0
+# Times of missions are in seconds where all means are below this, else in minutes.
+SHORT_MISSION_S = 120.0
 _SMALL_PERCENT = 10.0
 
 
@@ -49,7 +49,7 @@ def build_percent_column(name: str, heading: str, results: Iterable[SchemeResult
 def build_latency_column(results: Iterable[SchemeResult]) -> MetricColumn:
     """Latency in minutes as in the paper, or in seconds if all means are short."""
     means = [each.mean for result in results for each in result.estimates.get("latency", ()) if each]
-    short = max(means, default=0.0) < _SHORT_LATENCY_MIN
+    short = max(means, default=0.0) < SHORT_MISSION_S / 60
     return (
         build_metric_column("latency", "LATENCY s", 1, 60.0, spread=True)
         if short
