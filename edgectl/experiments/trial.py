@@ -77,6 +77,7 @@ def run_trial(
     recorder = TrialRecorder(experiment.until)
     means = EventMeans(fleet=trial_fleet, ask=options.ask, ended=threading.Event())
     with EventPerformer(experiment.events, means, build_uniform_draw(str(repetition))) as performer:
+        # Draws of a policy are those of the repetition, as the times of events.
         policy = replace(scheme.policy, seed=repetition)
         watch_options = _build_watch_options(trial_fleet, experiment, policy, recorder, performer, options)
         first = replace(trial_fleet, tasks=select_present_tasks(fleet.tasks, experiment.events, ()))
