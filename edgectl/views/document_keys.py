@@ -36,6 +36,7 @@ _ACTION = (
 )  # fmt: skip
 _RESULT = ("revision", "duration_s", "done", "interrupted", "actions", "standbys")
 _REVISION = ("revision", "started_at", "user", "verb", "outcome", "duration_s", "counts")
+_RECOVERY = ("occurrences", "not_recovered", "recovery_s", "recovery_half_ci95_s")
 _ESTIMATE = ("mean", "std", "half_ci95", "run_count")
 
 _OTHER_TASK = (
@@ -154,8 +155,10 @@ INNER_KEYS: KeysByName = {
     ),
     "schemes": (
         "scheme", "run_count", "unfinished", "unplaced", "host_names", "figures", "metrics", "maps",
-        "reference_figures", "off_by",
+        "mission_events", "recoveries", "reference_figures", "off_by",
     ),
+    "mission_events": ("event_name", "kind", "subject", "begin_s", "failures", *_RECOVERY),
+    "recoveries": _RECOVERY,
     "spec": (
         "template", "task_kind", "managed", "command", "node_names", "robot_names", "needs", "priority",
         "deadline_s", "hard_deadline", "labels", "restart", "handoff", "on_unreachable", "env",

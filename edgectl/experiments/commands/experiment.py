@@ -135,7 +135,8 @@ def resolve_run_directory(given: Path | None) -> Path:
 
 
 def _print_experiment(output: OutputFormat, run: "ExperimentRun") -> None:
+    from edgectl.experiments.event_results import add_trial_events
     from edgectl.experiments.scheme_results import summarize_trials
     from edgectl.experiments.views.experiment import ExperimentView
 
-    console.print_view(ExperimentView(run=run, results=summarize_trials(run)), output)
+    console.print_view(ExperimentView(run=run, results=add_trial_events(run, summarize_trials(run))), output)

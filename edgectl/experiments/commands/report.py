@@ -10,8 +10,11 @@ from edgectl.errors import UsageError
 from edgectl.experiments.commands.experiment import resolve_run_directory
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from edgectl.experiments.model.experiment import ExperimentRun
     from edgectl.experiments.report.page import ReportTable
+    from edgectl.views.text import Row
 
 
 def report_command(
@@ -68,13 +71,20 @@ def report_command(
 
 def _build_report_table(run: "ExperimentRun") -> "ReportTable":
     """The wide table of ``experiment show``."""
+    from edgectl.experiments.event_results import add_trial_events
     from edgectl.experiments.report.page import ReportTable
     from edgectl.experiments.scheme_results import summarize_trials
     from edgectl.experiments.views.experiment import build_experiment_rows, describe_experiment
+    from edgectl.experiments.views.recovery_table import build_recovery_rows
 
-    results = summarize_trials(run)
-    rows = [
-        [str(getattr(cell, "text", cell)) for cell in row]
-        for row in build_experiment_rows(run.experiment, results, every=True)
-    ]
-    return ReportTable(rows=rows, notes=list(describe_experiment(run.experiment, results, every=True)))
+    results = add_trial_events(run, summarize_trials(run))
+    experiment_rows = build_experiment_rows(run.experiment, results, every=True)
+    return ReportTable(
+        rows=_format_rows(experiment_rows),
+        notes=list(describe_experiment(run.experiment, results, every=True)),
+        recovery=_format_rows(build_recovery_rows(results)),
+    )
+
+
+def _format_rows(rows: "Sequence[Row]") -> list[list[str]]:
+    return [[str(getattr(cell, "text", cell)) for cell in row] for row in rows]

@@ -5,6 +5,12 @@ from dataclasses import dataclass
 
 from edgectl.experiments.model.comparison import SchemeResult
 from edgectl.experiments.model.experiment import Experiment, ExperimentRun
+from edgectl.experiments.views.recovery_table import (
+    build_recovery_rows,
+    describe_recovery,
+    encode_events,
+    render_recovery_table,
+)
 from edgectl.experiments.views.scheme_table import (
     MetricColumn,
     build_application_column,
@@ -48,15 +54,11 @@ class ExperimentView(ItemView):
 
     def markdown(self) -> str:
         """The wide table in Markdown, and its notes as a list."""
-        heading, *body = (
-            [cell if isinstance(cell, str) else cell.text for cell in row]
-            for row in build_experiment_rows(self.run.experiment, self.results, every=True)
-        )
-        lines = [heading, ["---", *["---:"] * (len(heading) - 1)]]
-        lines += ([escape_markdown(cell) for cell in row] for row in body)
-        rows = "".join(f"| {' | '.join(line)} |\n" for line in lines)
+        rows = build_experiment_rows(self.run.experiment, self.results, every=True)
+        recovery = build_recovery_rows(self.results)
+        tables = [_render_markdown_table(each) + "\n" for each in (rows, recovery) if each]
         notes = describe_experiment(self.run.experiment, self.results, every=True)
-        return rows + "\n" + "".join(f"- {escape_markdown(note)}\n" for note in notes)
+        return "".join((*tables, *(f"- {escape_markdown(note)}\n" for note in notes)))
 
     def item(self) -> Document:
         """All estimates as JSON types.
@@ -69,7 +71,11 @@ class ExperimentView(ItemView):
             "planned": self.run.experiment.repetitions,
             "trials": sum(result.runs for result in self.results),
             "schemes": [
-                {**encode_scheme_result(result), **encode_application_metrics(result)}
+                {
+                    **encode_scheme_result(result),
+                    **encode_application_metrics(result),
+                    **encode_events(result),
+                }
                 for result in self.results
             ],
         }
@@ -83,7 +89,15 @@ class ExperimentView(ItemView):
         rows = build_experiment_rows(self.run.experiment, self.results, every=every)
         notes = describe_experiment(self.run.experiment, self.results, every=every)
         text = "".join(wrap_text(escape_unprintable(note), look) for note in notes)
-        return f"{render_scheme_table(rows, look)}\n{text}"
+        recovery = render_recovery_table(self.results, look)
+        return f"{render_scheme_table(rows, look)}{recovery}\n{text}"
+
+
+def _render_markdown_table(rows: Sequence[Row]) -> str:
+    heading, *body = ([cell if isinstance(cell, str) else cell.text for cell in row] for row in rows)
+    lines = [heading, ["---", *["---:"] * (len(heading) - 1)]]
+    lines += ([escape_markdown(cell) for cell in row] for row in body)
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def build_experiment_rows(
@@ -129,6 +143,7 @@ def describe_experiment(
     by_edge = f", by edge ({'/'.join(hosts)}; local: mean of the robots)" if hosts else ""
     yield f"{done} of {planned} trials of {experiment.name}; {describe_table_numbers(every=every)}{by_edge}."
     yield from describe_unfinished(results, "trials")
+    yield from describe_recovery(results)
     yield from (
         f"{result.scheme.name}: unplaced tasks, summed over all plans: {result.unplaced}"
         for result in results

@@ -5,6 +5,11 @@ from dataclasses import dataclass
 
 from edgectl.experiments.model.comparison import ReferenceValues, SchemeResult
 from edgectl.experiments.model.scenario import Scenario
+from edgectl.experiments.views.recovery_table import (
+    describe_recovery,
+    encode_events,
+    render_recovery_table,
+)
 from edgectl.experiments.views.scheme_table import (
     MetricColumn,
     build_metric_column,
@@ -68,7 +73,8 @@ class SimulationView(ItemView):
         for result in self.results:
             rows += _build_scheme_rows(result, self.reference, columns, every=every)
         notes = "".join(wrap_text(note, look) for note in self._describe(every=every))
-        return f"{render_scheme_table(rows, look)}\n{notes}"
+        recovery = render_recovery_table(self.results, look)
+        return f"{render_scheme_table(rows, look)}{recovery}\n{notes}"
 
     def _describe(self, *, every: bool) -> Iterator[str]:
         """The notes below the table."""
@@ -77,6 +83,7 @@ class SimulationView(ItemView):
         noun = "run" if runs == 1 else "runs"
         yield f"{runs} {noun} of each scheme; {numbers}, by edge (local: of the robots)."
         yield from describe_unfinished(self.results, "runs")
+        yield from describe_recovery(self.results)
         yield from describe_latency_ratios(
             self.results, lambda result, base: _format_reference_ratio(self.reference, result, base)
         )
@@ -169,6 +176,7 @@ def _encode_simulated_scheme(result: SchemeResult, reference: ReferenceValues) -
     known = reference.means.get(result.scheme.name, {})
     return {
         **encode_scheme_result(result),
+        **encode_events(result),
         "reference_figures": {
             metric: [encode_optional(mean) for mean in means] for metric, means in known.items()
         },
