@@ -14,6 +14,9 @@ from edgectl.experiments.simulator import simulate_mission
 from edgectl.model.inventory import Inventory
 from edgectl.model.task import Tasks
 
+# No two runs of two seeds place at random alike.
+_MAX_RUNS = 1000
+
 
 def simulate_schemes(
     inventory: Inventory,
@@ -31,7 +34,7 @@ def simulate_schemes(
                 inventory,
                 tasks,
                 scenario,
-                scheme.policy,
+                replace(scheme.policy, seed=_MAX_RUNS * seed + run),
                 partial(create_stream(f"{seed}/{run}").gauss, 0.0, 1.0),
                 build_uniform_draw(f"{seed}/{run}"),
             )
