@@ -92,6 +92,8 @@ def simulate_mission(
         usage={host: compute_host_usage(state, host) for host in scenario.hosts},
         jobs=ends,
         events=tuple(state.records),
+        courses={name: tuple(points) for name, points in state.courses.items()},
+        course_ends=state.course_ends,
     )
 
 

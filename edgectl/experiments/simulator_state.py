@@ -112,8 +112,9 @@ class SimState:
     relative demands. ``tasks``: those that have entered, of ``all_tasks``. ``starting``: tasks that a step of
     the plan is about to start. ``happening``: events of which the change holds, by name, as ``overlay`` has
     them; ``happened``: all that ever did. ``working``: jobs in progress; ``robot_work`` and ``robot_done``:
-    work by robot, in s, of all its jobs and of those parts of them that are done. ``samples``: what a probe
-    of each host shows until the next change, but for noise.
+    work by robot, in s, of all its jobs and of those parts of them that are done. ``courses``: with events,
+    by task with work, its speed over time, up to ``course_ends``. ``samples``: what a probe of each host
+    shows until the next change, but for noise.
     """
 
     env: simpy.Environment
@@ -146,6 +147,8 @@ class SimState:
     working: dict[str, SimWork] = field(default_factory=dict)
     robot_work: dict[str, float] = field(default_factory=dict)
     robot_done: dict[str, float] = field(default_factory=dict)
+    courses: dict[str, list[tuple[float, float | None]]] = field(default_factory=dict)
+    course_ends: dict[str, float] = field(default_factory=dict)
     samples: dict[str, SimSample] = field(default_factory=dict)
 
 
@@ -183,9 +186,28 @@ def _group_services(state: SimState) -> dict[str, dict[str, SimTask]]:
 
 
 def notify_change(state: SimState) -> None:
-    """Wake what waits for a change."""
+    """Wake what waits for a change; with events, note how well each task does that has work."""
+    if state.scenario.events:
+        _record_courses(state)
     state.changed.succeed()
     state.changed = state.env.event()
+
+
+def _record_courses(state: SimState) -> None:
+    """The speed of each task from its first job to the end of its last one; None while it does not run."""
+    now = state.env.now
+    for part in state.working.values():
+        state.courses.setdefault(part.task, [])
+    for name, points in state.courses.items():
+        if state.left[name] == 0:
+            state.course_ends.setdefault(name, now)
+            continue
+        service = state.services.get(name)
+        value = state.speeds[name] if service is not None and service.ready else None
+        if points and points[-1][0] == now:
+            points.pop()
+        if not points or points[-1][1] != value:
+            points.append((now, value))
 
 
 def _share_host_resources(state: SimState, host: str, services: Mapping[str, SimTask]) -> None:

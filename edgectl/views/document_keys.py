@@ -37,6 +37,7 @@ _ACTION = (
 _RESULT = ("revision", "duration_s", "done", "interrupted", "actions", "standbys")
 _REVISION = ("revision", "started_at", "user", "verb", "outcome", "duration_s", "counts")
 _INTERVAL = ("mean", "low", "high")
+_RECOVERY = ("occurrences", "not_recovered", "recovery_s", "recovery_half_ci95_s")
 _ESTIMATE = ("mean", "std", "half_ci95", "run_count")
 
 _OTHER_TASK = (
@@ -160,7 +161,7 @@ INNER_KEYS: KeysByName = {
     ),
     "schemes": (
         "scheme", "run_count", "unfinished", "unplaced", "host_names", "figures", "metrics", "maps",
-        "reference_figures", "off_by",
+        "mission_events", "recoveries", "reference_figures", "off_by",
     ),
     "comparisons": (
         "metric", "scheme", "base", "pair_count", "missing_pair_count", "difference", "ratio", "p", "p_holm",
@@ -168,6 +169,8 @@ INNER_KEYS: KeysByName = {
     ),
     "difference": _INTERVAL,
     "ratio": _INTERVAL,
+    "mission_events": ("event_name", "kind", "subject", "begin_s", "failures", *_RECOVERY),
+    "recoveries": _RECOVERY,
     "spec": (
         "template", "task_kind", "managed", "command", "node_names", "robot_names", "needs", "priority",
         "deadline_s", "hard_deadline", "labels", "restart", "handoff", "on_unreachable", "env",

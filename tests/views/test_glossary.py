@@ -1,5 +1,6 @@
 """Every document of every view, key by key, against the glossary; and the page that lists it."""
 
+import dataclasses
 from collections.abc import Iterator
 from datetime import datetime
 from importlib import import_module
@@ -86,9 +87,14 @@ def list_views() -> Iterator[View]:
     yield ProfileView([test_demands.a_profile()])
     yield CycleView(test_live.cycle(results=test_live.results(test_live.MOVED), events=(test_live.EVENT,)))
     yield from (CycleView(test_live.cycle()), CycleView(Cycle(number=3, at=NOW, error="no", busy="held")))
+    disturbed = dataclasses.replace(
+        test_experiment_view.DONE[0],
+        events=(test_experiment_view.EVENT,),
+        recoveries={"link": test_experiment_view.EVENT.recoveries},
+    )
     yield ExperimentView(
         run=test_experiment_view.RUN,
-        results=test_experiment_view.DONE,
+        results=[disturbed, *test_experiment_view.DONE[1:]],
         comparisons=test_experiment_view.COMPARED,
     )
     yield test_simulation_and_replay_views.VIEW

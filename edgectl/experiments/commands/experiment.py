@@ -139,10 +139,11 @@ def resolve_run_directory(given: Path | None) -> Path:
 
 def _print_experiment(output: OutputFormat, run: "ExperimentRun", bound: float | None = None) -> None:
     """``bound``: of equivalence, instead of that of the experiment file."""
+    from edgectl.experiments.event_results import add_trial_events
     from edgectl.experiments.scheme_comparison import compare_schemes
     from edgectl.experiments.scheme_results import summarize_trials
     from edgectl.experiments.views.experiment import ExperimentView
 
-    results = summarize_trials(run)
+    results = add_trial_events(run, summarize_trials(run))
     compared = compare_schemes(results, bound or run.experiment.equivalence)
     console.print_view(ExperimentView(run=run, results=results, comparisons=compared), output)

@@ -81,6 +81,34 @@ class SchemeComparison:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RecoveryResult:
+    """Recovery after ``count`` events, of which ``not_recovered`` were not overcome (ADR 133).
+
+    ``recovery``: s, over the runs; of one run the mean of its events that were overcome. None: none was.
+    """
+
+    count: int
+    not_recovered: int
+    recovery: Estimate | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EventResult:
+    """An event of the mission over all runs of a scheme.
+
+    ``at``: s after the start of the mission, of its first occurrence in a run. ``failed``: how often it was
+    not made, or not undone.
+    """
+
+    event: str
+    kind: str
+    subject: str
+    failed: int
+    at: Estimate | None
+    recoveries: RecoveryResult
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SchemeResult:
     """A scheme over all its runs, simulated or real: a column of the paper's table. None: no run has a value.
 
@@ -91,7 +119,8 @@ class SchemeResult:
     of a robot, mean over robots) and unplaced (tasks without a host, per run). ``metrics``: of the
     application. ``maps``: SSIM, -1..1. ``unfinished``: runs ended by the time limit. ``unplaced``: summed
     over all plans. ``values``: by metric, the value of each run by its number (the repetition of a trial);
-    the mean over the hosts where it has several.
+    the mean over the hosts where it has several. ``events``: in the order in which they first happened;
+    ``recoveries``: by kind of event.
     """
 
     scheme: Scheme
@@ -103,6 +132,8 @@ class SchemeResult:
     metrics: Mapping[str, Estimate | None] = field(default_factory=dict)
     maps: Mapping[str, Estimate | None] = field(default_factory=dict)
     values: Mapping[str, Mapping[int, float]] = field(default_factory=dict)
+    events: tuple[EventResult, ...] = ()
+    recoveries: Mapping[str, RecoveryResult] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

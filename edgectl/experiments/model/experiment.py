@@ -30,6 +30,13 @@ class MetricAggregation(StrEnum):
     MAX = "max"
 
 
+class BetterValue(StrEnum):
+    """Which values of a metric are better."""
+
+    HIGHER = "higher"
+    LOWER = "lower"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapPair:
     """A map and its ground truth.
@@ -44,14 +51,27 @@ class MapPair:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RecoveryMetric:
+    """The metric that tells how well a task does, for recovery after events (ADR 133).
+
+    ``within``: how much worse than before still counts as good, as a share. ``window``: s of the means.
+    """
+
+    metric: str = ""
+    higher: bool = field(default=True, metadata=in_document("higher_is_better", always=True))
+    within: float = field(default=0.1, metadata=_WRITTEN)
+    window: Positive = field(default=10.0, metadata=in_document("window_s", always=True))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
     """The specification: ``repetitions`` trials of each scheme.
 
     A trial ends when all tasks in ``until`` have completed, or after ``limit`` s. ``every``: period of
     sampling and planning in s. ``idle``: highest CPU utilisation of a host before a trial, 0..1. ``metrics``:
     of the application, in the order of the table. ``maps``: by column of the table, maps scored by SSIM.
-    ``equivalence``: schemes whose missions differ by less than this share count as equal.
-    ``events``: what changes during a trial.
+        ``equivalence``: schemes whose missions differ by less than this share count as equal.
+    ``events``: what changes during a trial. ``recovery``: None: a task does well where it runs.
     """
 
     name: str
@@ -65,6 +85,7 @@ class Experiment:
     maps: Mapping[str, MapPair] = field(default_factory=dict, metadata=_WRITTEN)
     equivalence: Positive | None = None
     events: tuple[MissionEvent, ...] = field(default=(), metadata=in_document(keyed_by="name"))
+    recovery: RecoveryMetric | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,6 +12,12 @@ from edgectl.experiments.views.comparison_table import (
     encode_comparison,
     render_comparison_table,
 )
+from edgectl.experiments.views.recovery_table import (
+    build_recovery_rows,
+    describe_recovery,
+    encode_events,
+    render_recovery_table,
+)
 from edgectl.experiments.views.scheme_table import (
     MetricColumn,
     build_application_column,
@@ -56,15 +62,11 @@ class ExperimentView(ItemView):
 
     def markdown(self) -> str:
         """The wide table in Markdown, and its notes as a list."""
-        heading, *body = (
-            [cell if isinstance(cell, str) else cell.text for cell in row]
-            for row in build_experiment_rows(self.run.experiment, self.results, every=True)
-        )
-        lines = [heading, ["---", *["---:"] * (len(heading) - 1)]]
-        lines += ([escape_markdown(cell) for cell in row] for row in body)
-        rows = "".join(f"| {' | '.join(line)} |\n" for line in lines)
+        rows = build_experiment_rows(self.run.experiment, self.results, every=True)
+        recovery = build_recovery_rows(self.results)
+        tables = [_render_markdown_table(each) + "\n" for each in (rows, recovery) if each]
         notes = self._list_notes(every=True)
-        return rows + "\n" + "".join(f"- {escape_markdown(note)}\n" for note in notes)
+        return "".join((*tables, *(f"- {escape_markdown(note)}\n" for note in notes)))
 
     def item(self) -> Document:
         """All estimates as JSON types.
@@ -80,7 +82,11 @@ class ExperimentView(ItemView):
             "answer": describe_answer(find_primary_comparison(self.comparisons)),
             "comparisons": [encode_comparison(each) for each in self.comparisons],
             "schemes": [
-                {**encode_scheme_result(result), **encode_application_metrics(result)}
+                {
+                    **encode_scheme_result(result),
+                    **encode_application_metrics(result),
+                    **encode_events(result),
+                }
                 for result in self.results
             ],
         }
@@ -95,13 +101,21 @@ class ExperimentView(ItemView):
         text = "".join(wrap_text(escape_unprintable(note), look) for note in self._list_notes(every=every))
         columns = list_compared_columns(self.run.experiment, self.results, every=every)
         compared = render_comparison_table(self.comparisons, columns, look)
-        return f"{render_scheme_table(rows, look)}\n{compared}{text}"
+        recovery = render_recovery_table(self.results, look)
+        return f"{render_scheme_table(rows, look)}{recovery}\n{compared}{text}"
 
     def _list_notes(self, *, every: bool) -> Iterator[str]:
         """The answer, where there is one, and the notes on the tables."""
         if self.comparisons:
             yield describe_answer(find_primary_comparison(self.comparisons))
         yield from describe_experiment(self.run.experiment, self.results, self.comparisons, every=every)
+
+
+def _render_markdown_table(rows: Sequence[Row]) -> str:
+    heading, *body = ([cell if isinstance(cell, str) else cell.text for cell in row] for row in rows)
+    lines = [heading, ["---", *["---:"] * (len(heading) - 1)]]
+    lines += ([escape_markdown(cell) for cell in row] for row in body)
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def build_experiment_rows(
@@ -171,6 +185,7 @@ def describe_experiment(
     yield f"{done} of {planned} trials of {experiment.name}; {describe_table_numbers(every=every)}{by_edge}."
     yield from describe_comparisons(comparisons)
     yield from describe_unfinished(results, "trials")
+    yield from describe_recovery(results)
     yield from (
         f"{result.scheme.name}: unplaced tasks, summed over all plans: {result.unplaced}"
         for result in results
