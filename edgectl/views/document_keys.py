@@ -60,6 +60,7 @@ LIST_KEYS: KeysByName = {
         "scheme", "policy", "move_margin", "cycles", "handoffs", "unplaced", "unsettled", "assumed",
         "utilisation",
     ),
+    "sweep": ("settings", "digest", "run_count", "fastest", "schemes"),
     "awaited-task": ("task", "awaited", "reached", "state", "host"),
     "byte-counter": ("host", "counters", "tasks_counted", "robot_counters", "error", "hint"),
     "request": ("host", "phase", "task", "command", "stdin"),
@@ -154,7 +155,7 @@ INNER_KEYS: KeysByName = {
     ),
     "schemes": (
         "scheme", "run_count", "unfinished", "unplaced", "host_names", "figures", "metrics", "maps",
-        "reference_figures", "off_by",
+        "reference_figures", "off_by", "mission_s", "half_ci95", "handoffs",
     ),
     "spec": (
         "template", "task_kind", "managed", "command", "node_names", "robot_names", "needs", "priority",

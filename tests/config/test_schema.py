@@ -16,7 +16,8 @@ FILES = {
     "inventory": ["inventories/*.yaml", "tasks/mission/fleet.yaml"],
     "tasks": ["tasks/*.yaml", "tasks/mission/tasks.yaml"],
     "experiment": ["tasks/mission/experiment.yaml"],
-    "scenario": ["docs/scenarios/*.yaml"],
+    "scenario": ["docs/scenarios/[!s]*.yaml"],  # all but sweep-*.yaml
+    "sweep": ["docs/scenarios/sweep-*.yaml"],
 }
 # Types, missing and unknown keys, words, names, quantities, versions: all that concerns the form of a file.
 # Beyond a schema: numbers that JSON has not, what defaults decide, the sum that a text means.
