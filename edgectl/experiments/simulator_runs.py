@@ -2,6 +2,7 @@
 
 import random
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 
 from edgectl.experiments.model.comparison import SchemeResult
@@ -11,6 +12,9 @@ from edgectl.experiments.scheme_results import summarize_sim_runs
 from edgectl.experiments.simulator import simulate_mission
 from edgectl.model.inventory import Inventory
 from edgectl.model.task import Tasks
+
+# No two runs of two seeds place at random alike.
+_MAX_RUNS = 1000
 
 
 def simulate_schemes(
@@ -29,7 +33,7 @@ def simulate_schemes(
                 inventory,
                 tasks,
                 scenario,
-                scheme.policy,
+                replace(scheme.policy, seed=_MAX_RUNS * seed + run),
                 partial(_create_stream(f"{seed}/{run}").gauss, 0.0, 1.0),
                 build_uniform_draw(f"{seed}/{run}"),
             )

@@ -21,6 +21,7 @@ from edgectl.scheduler.garbage import pause_collection
 from edgectl.scheduler.initial_state import InitialState, build_initial_state
 from edgectl.scheduler.integer_program import Solver
 from edgectl.scheduler.move_cost import collect_handoff_history
+from edgectl.scheduler.operator_pins import explain_pins, pin_tasks, resolve_pins
 from edgectl.scheduler.placement_rules import NO_RULES, build_placement_rules
 from edgectl.scheduler.policies import POLICIES
 from edgectl.scheduler.preference import sign_weights
@@ -77,13 +78,19 @@ def _assign(
     explain: bool,
 ) -> Assignment:
     rules = POLICIES[policy.name]
-    used = replace(policy, weights=policy.weights.normalised())
+    used = replace(policy, weights=(rules.weights or policy.weights).normalised())
     fleet = add_measured_demands(build_capacities(inventory, snapshot, manager, used.without), tasks, manager)
     state = build_initial_state(tasks, manager, fleet, now, used)
     if not rules.strict_paper:
         state = reserve_running_tasks(state, tasks)
         fleet = state.ledger.fleet
-    order = order_tasks(tasks.tasks.values(), used.sequence)
+    pins = (
+        resolve_pins(tasks, manager, fleet, state, now, best_effort=used.best_effort)
+        if rules.follows_pins
+        else {}
+    )
+    unpinned = order_tasks(tasks.tasks.values(), used.sequence)
+    order = pin_tasks(unpinned, pins)
     context = AssignmentContext(
         arrays=_load_array_scan(fleet, tasks, used),
         fleet=fleet,
@@ -94,6 +101,7 @@ def _assign(
         first=_select_first_placements(manager, state),
         handoffs=collect_handoff_history(manager),
         placement_rules=build_placement_rules(order, fleet, state) if rules.settles else NO_RULES,
+        turns={} if rules.settles else {task.name: turn for turn, task in enumerate(order)},
     )
     how = PlacementPass(
         context=context,
@@ -111,11 +119,13 @@ def _assign(
         if solve is not None:
             found, certificate = find_best_plan(how, known, solve)
         outcome, settled = found.outcome, found.settled
+    # A pin is about the task itself: its copies wait wherever its file lets them.
+    made = replace(made, order=unpinned) if pins else made
     standbys, expected = place_standbys(made, outcome)
     used_places = {place for place, _ in outcome.placed.values()}
     return Assignment(
         policy=used,
-        decisions=outcome.decisions,
+        decisions=explain_pins(outcome.decisions, pins),
         expected=expected.expected(used_places.union(*(each.places for each in standbys))) if explain else {},
         standbys=build_standby_steps(made, standbys, expected),
         settled=settled,
