@@ -43,7 +43,8 @@ def _build_script(words: Sequence[str], shards: int) -> str:
         f"#!{sys.executable}\n"
         "import os, sys\n"
         f"sys.path.insert(0, {json.dumps(str(Path(__file__).resolve().parents[2]))})\n"
-        "from edgectl.cli.main import main\n"
-        f"shard = os.environ['SLURM_ARRAY_TASK_ID'] + '/{shards}'\n"
-        f"sys.exit(main([*{json.dumps(list(words))}, '--shard', shard]))\n"
+        "if __name__ == '__main__':  # a worker imports this once more\n"
+        "    from edgectl.cli.main import main\n"
+        f"    shard = os.environ['SLURM_ARRAY_TASK_ID'] + '/{shards}'\n"
+        f"    sys.exit(main([*{json.dumps(list(words))}, '--shard', shard]))\n"
     )
