@@ -1,5 +1,5 @@
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: engines latency handoffs ros ros-whole throughput quality demo experiment test test-fast check style setup audit bench faults fuzz soak clean
+.PHONY: engines sensitivity latency handoffs ros ros-whole throughput quality demo experiment test test-fast check style setup audit bench faults fuzz soak clean
 PY := .venv/bin/python
 export PYTHON
 
@@ -81,6 +81,10 @@ latency: setup
 engines: setup
 	@.ci/need-engines
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite tests/engines -n 0
+
+# The table and the figure of docs/evaluation/sensitivity.md, from its committed results; worlds that are missing are simulated.
+sensitivity: setup
+	@$(PY) -m tests.experiments.sensitivity
 
 # The whole fault matrix on real hosts; make faults SEED=7 draws other moments and bytes.
 # Then a death of the manager at each failpoint, and a hundred random lives, over simulated hosts.
