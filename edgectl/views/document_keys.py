@@ -63,7 +63,7 @@ LIST_KEYS: KeysByName = {
         "scheme", "policy", "move_margin", "cycles", "handoffs", "unplaced", "unsettled", "assumed",
         "utilisation",
     ),
-    "sweep": ("settings", "digest", "run_count", "fastest", "schemes"),
+    "world": ("settings", "digest", "run_count", "fastest", "schemes"),
     "awaited-task": ("task", "awaited", "reached", "state", "host"),
     "byte-counter": ("host", "counters", "tasks_counted", "robot_counters", "error", "hint"),
     "request": ("host", "phase", "task", "command", "stdin"),

@@ -16,7 +16,7 @@ from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns, 
 class SweepView(ListView):
     """All worlds of a sweep with their results, by digest."""
 
-    kind = "sweep"
+    kind = "world"
     formats = WIDE_FORMATS
     sweep: Sweep
     results: Mapping[str, WorldResult]
