@@ -1,5 +1,5 @@
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: latency handoffs ros ros-whole throughput quality demo experiment test test-fast check style setup audit bench faults fuzz soak clean
+.PHONY: engines sensitivity latency handoffs ros ros-whole throughput quality demo experiment test test-fast check style setup audit bench faults fuzz soak clean
 PY := .venv/bin/python
 export PYTHON
 
@@ -28,7 +28,7 @@ test: style
 	@.ci/need-faults
 	@.ci/need-promtool
 	@.ci/need-etcd
-	@PATH="$$PATH:/usr/sbin:/sbin" .ci/with-types $(PY) -m tests.suite tests --ignore=tests/benchmarks --ignore=tests/ros -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+	@PATH="$$PATH:/usr/sbin:/sbin" .ci/with-types $(PY) -m tests.suite tests --ignore=tests/benchmarks --ignore=tests/ros --ignore=tests/engines -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 # Tests without real hosts: rules, files, documents, views, and simulated fleets.
 PURE := config doctor experiments executor export formats fuzz gateway importers model rules scheduler simulation state tui usecases views test_rooms.py
@@ -77,6 +77,15 @@ latency: setup
 	@.ci/need-faults
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.latency --jobs $(or $(JOBS),600)
 
+# Sweeps on a real Ray, Dask and Slurm of one node (root), which are installed where they are missing: docs/concepts/sweeps.md.
+engines: setup
+	@.ci/need-engines
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite tests/engines -n 0
+
+# The table and the figure of docs/evaluation/sensitivity.md, from its committed results; worlds that are missing are simulated.
+sensitivity: setup
+	@$(PY) -m tests.experiments.sensitivity
+
 # The whole fault matrix on real hosts; make faults SEED=7 draws other moments and bytes.
 # Then a death of the manager at each failpoint, and a hundred random lives, over simulated hosts.
 faults: setup
@@ -103,4 +112,4 @@ experiment: setup
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.experiments.lab --repetitions $(or $(REPETITIONS),3)
 
 clean:
-	rm -rf .venv .venv-ros2 .venv-cyclone .pytest_cache .mypy_cache .ruff_cache .hypothesis dist build
+	rm -rf .venv .venv-ros2 .venv-cyclone .venv-engines .pytest_cache .mypy_cache .ruff_cache .hypothesis dist build

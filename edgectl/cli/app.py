@@ -85,10 +85,16 @@ COMMANDS = {
         "Evaluate",
         "Re-run the scheduler on recorded snapshots under other policies.",
     ),
-    "simulate": CommandEntry(
+    "simulate run": CommandEntry(
         "experiments.commands.simulate",
         "Evaluate",
         "Simulate a mission under several schemes.",
+    ),
+    "simulate sweep": CommandEntry(
+        "experiments.commands.sweep", "Evaluate", "Simulate a mission in many worlds, on all cores."
+    ),
+    "simulate merge": CommandEntry(
+        "experiments.commands.sweep", "Evaluate", "Merge the results of the shards of a sweep."
     ),
     "experiment run": CommandEntry(
         "experiments.commands.experiment",
@@ -145,6 +151,7 @@ GROUP_HELP: dict[str, str] = {
     "import": "Import launch files and host lists of other tools.",
     "export": "Export for cron, systemd, Prometheus, ROS, CSV and others.",
     "experiment": "Compare schemes on real hosts.",
+    "simulate": "Simulate a mission under several schemes: simulate SCENARIO is simulate run SCENARIO.",
     "config": "Show and choose the settings of edgectl.yaml and of the user.",
 }
 SUMMARY = "Place robot tasks on edge computers by measured utility: probe, plan, apply, over SSH."

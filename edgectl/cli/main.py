@@ -108,7 +108,7 @@ def expand_shorthand(words: Sequence[str]) -> list[str]:
     """Expand the calls that have no command of their own.
 
     None is the help, as is ``help [COMMAND]``; ``top`` is ``top hosts``, and ``top -i`` is ``top hosts -I``
-    (after ``hosts``, ``-i`` names the inventory as everywhere).
+    (after ``hosts``, ``-i`` names the inventory as everywhere). ``simulate SCENARIO`` is ``simulate run``.
     """
     match list(words):
         case []:
@@ -121,5 +121,7 @@ def expand_shorthand(words: Sequence[str]) -> list[str]:
             return ["top", "hosts"]
         case ["top", option, *rest] if option.startswith("-") and option not in ("-h", "--help"):
             return ["top", "hosts", option, *rest]
+        case ["simulate", word, *rest] if word not in ("run", "sweep", "merge", "-h", "--help"):
+            return ["simulate", "run", word, *rest]
         case others:
             return others

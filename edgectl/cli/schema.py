@@ -21,16 +21,18 @@ SCHEMAS = {
     "user-config": ("config.project_file", "build_user_schema"),
     "experiment": ("experiments.files.experiment_file", "build_experiment_schema"),
     "scenario": ("experiments.files.scenario_file", "build_scenario_schema"),
+    "sweep": ("experiments.files.sweep_file", "build_sweep_schema"),
     "snapshot": ("formats.kinds", "SNAPSHOT_KIND.schema"),
     "plan": ("formats.kinds", "PLAN_KIND.schema"),
     "manager-state": ("formats.kinds", "MANAGER_STATE_KIND.schema"),
     "run": ("experiments.files.run_codec", "RUN_KIND.schema"),
     "trial": ("experiments.files.run_codec", "TRIAL_KIND.schema"),
+    "sweep-world": ("experiments.files.sweep_results", "WORLD_KIND.schema"),
 }
 # Kind -> kind of the document that -o json prints. The experiment is a file too, and that has the name.
 DOCUMENTS = {"experiment-results" if kind == "experiment" else kind: kind for kind in DOCUMENT_KINDS}
 # Schemas of the files that a user edits.
-EDITED_KINDS = ("inventory", "tasks", "project", "experiment", "scenario")
+EDITED_KINDS = ("inventory", "tasks", "project", "experiment", "scenario", "sweep")
 
 
 def list_kinds() -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import simpy
 
 from edgectl.experiments.model.mission_event import EventRecord, HostLoad, MissionEvent
-from edgectl.experiments.model.scenario import Scenario, SimHostUsage
+from edgectl.experiments.model.scenario import Radio, Scenario, SimHostUsage
 from edgectl.model.demand import ZERO
 from edgectl.model.inventory import Inventory, Role
 from edgectl.model.link_reading import LinkHistory
@@ -166,6 +166,8 @@ def update_speeds(state: SimState) -> None:
     state.samples.clear()
     for host, services in _group_services(state).items():
         _share_host_resources(state, host, services)
+    if state.scenario.radio is Radio.SHARED:
+        _share_air_time(state)
     for name, service in state.services.items():
         demand = _compute_demand_cores(state, service)
         shares = [state.cores[name] / demand] if demand > 0 else []
@@ -234,6 +236,24 @@ def _share_host_resources(state: SimState, host: str, services: Mapping[str, Sim
         for name, rate in compute_fair_shares(get_link_bytes_per_s(state, host, robot), rates).items():
             if rates[name] > 0:
                 state.rates[name][robot] = rate
+
+
+def _share_air_time(state: SimState) -> None:
+    """Lower the rates to what one channel carries: each flow takes the share of the time that it takes of its
+    link, and the channel divides its time fairly (max-min).
+    """
+    times = {
+        f"{name} {robot}": rate / get_link_bytes_per_s(state, state.services[name].host, robot)
+        for name, rates in state.rates.items()
+        for robot, rate in rates.items()
+        if rate > 0
+    }
+    shares = compute_fair_shares(1.0, times)
+    for name, rates in state.rates.items():
+        for robot in rates:
+            time = times.get(f"{name} {robot}")
+            if time is not None:
+                rates[robot] *= shares[f"{name} {robot}"] / time
 
 
 def get_nominal_bytes_per_s(state: SimState, host: str, robot: str) -> float:

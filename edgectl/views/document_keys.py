@@ -65,6 +65,7 @@ LIST_KEYS: KeysByName = {
         "scheme", "policy", "move_margin", "cycles", "handoffs", "unplaced", "unsettled", "assumed",
         "utilisation",
     ),
+    "world": ("settings", "digest", "run_count", "fastest", "schemes"),
     "awaited-task": ("task", "awaited", "reached", "state", "host"),
     "byte-counter": ("host", "counters", "tasks_counted", "robot_counters", "error", "hint"),
     "request": ("host", "phase", "task", "command", "stdin"),
@@ -161,7 +162,7 @@ INNER_KEYS: KeysByName = {
     ),
     "schemes": (
         "scheme", "run_count", "unfinished", "unplaced", "host_names", "figures", "metrics", "maps",
-        "mission_events", "recoveries", "reference_figures", "off_by",
+        "mission_events", "recoveries", "reference_figures", "off_by", "mission_s", "half_ci95", "handoffs",
     ),
     "comparisons": (
         "metric", "scheme", "base", "pair_count", "missing_pair_count", "difference", "ratio", "p", "p_holm",

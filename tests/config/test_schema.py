@@ -17,7 +17,8 @@ FILES = {
     "tasks": ["tasks/*.yaml", "tasks/patrol/tasks.yaml"],
     "project": ["edgectl/scaffold/edgectl.yaml"],
     "experiment": ["tasks/patrol/experiment.yaml"],
-    "scenario": ["docs/scenarios/*.yaml"],
+    "scenario": ["docs/scenarios/[!s]*.yaml"],  # all but sweep-*.yaml
+    "sweep": ["docs/scenarios/sweep-*.yaml"],
 }
 # Types, missing and unknown keys, words, names, quantities, versions: all that concerns the form of a file.
 # Beyond a schema: numbers that JSON has not, what defaults decide, the sum that a text means.

@@ -9,11 +9,13 @@ from hypothesis import given
 from jsonschema import Draft202012Validator
 
 from edgectl.experiments.files.run_codec import RUN_KIND, TRIAL_KIND
+from edgectl.experiments.files.sweep_results import WORLD_KIND
 from edgectl.formats.document import FormatErrors
 from edgectl.formats.kinds import MANAGER_STATE_KIND, PLAN_KIND, SNAPSHOT_KIND, DocumentKind
 from edgectl.model.snapshot import Snapshot
 from tests.config.test_bad_documents import CASES, TEXTS
 from tests.experiments.test_run_codec import RUN, TRIAL
+from tests.experiments.test_sweep_command import RESULT as WORLD_RESULT
 from tests.formats.strategies import snapshots
 from tests.formats.test_complete import MANAGER, PLAN, SNAPSHOT
 from tests.formats.test_round_trip import bounded
@@ -21,7 +23,7 @@ from tests.formats.test_round_trip import bounded
 DOCS = Path(__file__).parents[2] / "docs"
 VALIDATORS = {
     kind.name: Draft202012Validator(kind.schema())
-    for kind in (SNAPSHOT_KIND, PLAN_KIND, MANAGER_STATE_KIND, RUN_KIND, TRIAL_KIND)
+    for kind in (SNAPSHOT_KIND, PLAN_KIND, MANAGER_STATE_KIND, RUN_KIND, TRIAL_KIND, WORLD_KIND)
 }
 
 
@@ -37,6 +39,7 @@ def list_faults(kind: DocumentKind[Any], document: object) -> list[str]:
         (MANAGER_STATE_KIND, MANAGER),
         (RUN_KIND, RUN),
         (TRIAL_KIND, TRIAL),
+        (WORLD_KIND, WORLD_RESULT),
     ],
     ids=lambda value: value.name if isinstance(value, DocumentKind) else "",
 )

@@ -39,7 +39,7 @@ from edgectl.views.status import StatusView
 from edgectl.views.wait import WaitView
 from edgectl.views.watch_cycle import CycleView
 from tests.builders import NOW
-from tests.experiments import test_experiment_view, test_simulation_and_replay_views
+from tests.experiments import test_experiment_view, test_simulation_and_replay_views, test_sweep_command
 from tests.scheduler.test_standbys import a_copy
 from tests.views import (
     test_byte_counters,
@@ -98,6 +98,7 @@ def list_views() -> Iterator[View]:
         comparisons=test_experiment_view.COMPARED,
     )
     yield test_simulation_and_replay_views.VIEW
+    yield test_sweep_command.VIEW
     yield ReplayView(results=[test_simulation_and_replay_views.REPLAYED])
     yield MapScoreView(0.5)
     yield HostKeysView(

@@ -1,4 +1,4 @@
-"""The command simulate."""
+"""The command simulate run."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +11,7 @@ from edgectl.experiments.commands.scheme_options import EquivalenceOption, Polic
 from edgectl.views.output_format import OutputFormat
 
 
-def simulate_command(
+def simulate_run_command(
     *,
     scenario: Annotated[Path, Argument(metavar="SCENARIO", help="A scenario file.")],
     inventory: options.InventoryOption = None,

@@ -115,7 +115,8 @@ MAP_PAIR_KEYS: Mapping[str, NodeReader] = {
 
 
 @describe_as(lambda: build_object_schema(SCHEMES_KEYS, ("policies",)))
-def _read_schemes(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+def read_schemes(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    """The fields of ``schemes``: policies and weights."""
     return read_fields(node, problems, SCHEMES_KEYS, required=("policies",), what="schemes")
 
 
@@ -136,7 +137,7 @@ EXPERIMENT_KEYS: Mapping[str, NodeReader] = {
     "name": read_name,
     "inventory": read_safe_argument,
     "tasks": read_safe_argument,
-    "schemes": _read_schemes,
+    "schemes": read_schemes,
     "repetitions": integer_reader(1, MAX_REPETITIONS),
     "every": _read_period,
     "limit": quantity_reader(parse_duration, above_zero=True),
@@ -218,7 +219,7 @@ def _build_experiment(
     }
     return Experiment(
         name=values.get("name", ""),
-        schemes=_build_experiment_schemes(values.get("schemes"), tasks.policy, problems),
+        schemes=build_listed_schemes(values.get("schemes"), tasks.policy, problems),
         until=tuple(dict.fromkeys(_resolve_until_tasks(fields, tasks, problems))),
         events=read_experiment_events(fields.at("events"), inventory, tasks, problems)
         if "events" in fields
@@ -227,7 +228,8 @@ def _build_experiment(
     )
 
 
-def _build_experiment_schemes(schemes: Fields | None, base: Policy, problems: Problems) -> tuple[Scheme, ...]:
+def build_listed_schemes(schemes: Fields | None, base: Policy, problems: Problems) -> tuple[Scheme, ...]:
+    """All combinations that ``schemes`` states; None: those of ``edgectl simulate`` without options."""
     if schemes is None:
         return build_schemes(base, DEFAULT_POLICIES, _parse_weight_sets(DEFAULT_WEIGHTS), [])
     policies, weights = (

@@ -19,6 +19,7 @@ from edgectl.config.node import Node
 from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.scalars import (
     NodeReader,
+    enum_reader,
     quantity_reader,
     read_bool,
     read_name,
@@ -33,7 +34,7 @@ from edgectl.config.yaml_parser import parse_yaml
 from edgectl.experiments.files.event_keys import SCENARIO_EVENT_KEYS, build_events_schema
 from edgectl.experiments.files.event_readers import read_scenario_events
 from edgectl.experiments.files.fleet_files import check_name_exists, resolve_fleet_files
-from edgectl.experiments.model.scenario import Scenario, SimHost, SimJob, SimLink, SimTiming
+from edgectl.experiments.model.scenario import Radio, Scenario, SimHost, SimJob, SimLink, SimTiming
 from edgectl.model.inventory import Inventory, Role
 from edgectl.model.task import Tasks
 from edgectl.units import QuantityError, parse_bytes, parse_cores, parse_duration, parse_rate, parse_share
@@ -93,6 +94,7 @@ SCENARIO_KEYS: Mapping[str, NodeReader] = {
     ),
     "live_links": read_bool,
     "events": keep_node,
+    "radio": enum_reader(Radio),
     "published": mapping_reader(
         _PUBLISHED_NAME_PATTERN,
         "a scheme",
@@ -170,6 +172,7 @@ def _build_scenario(fields: Fields, inventory: Inventory, tasks: Tasks, problems
         published=values.get("published", {}),
         links=tuple(_check_links(values.get("links", ()), inventory, jobs, problems)),
         live_links=values.get("live_links", True),
+        radio=values.get("radio", Radio.SEPARATE),
         events=read_scenario_events(fields.at("events"), inventory, tasks, jobs, problems)
         if "events" in fields
         else (),

@@ -2,8 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 from edgectl.experiments.model.mission_event import EventRecord, MissionEvent
+
+
+class Radio(StrEnum):
+    """Whether each link has its rate to itself, or all links share the air time of one channel."""
+
+    SEPARATE = "separate"
+    SHARED = "shared"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +73,7 @@ class Scenario:
     ``rate``: by task, frames/s at full speed. ``published``: by scheme and metric, values reported for the
     real experiment, one per edge or a single one. ``links``: changes of what links carry; the inventory has
     their nominal capacity. ``live_links``: the scheduler sees them, as by the probes of ``watch``.
-    ``events``: what else changes during the mission.
+    ``events``: what else changes during the mission. ``radio``: whether links share air time.
     """
 
     name: str
@@ -79,6 +87,7 @@ class Scenario:
     links: tuple[SimLink, ...] = ()
     live_links: bool = True
     events: tuple[MissionEvent, ...] = ()
+    radio: Radio = Radio.SEPARATE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

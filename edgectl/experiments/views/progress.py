@@ -1,7 +1,7 @@
 """Progress of an experiment on standard error: a live line on a terminal, otherwise a line per trial."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from edgectl.experiments.model.experiment import Trial, TrialListener, TrialProgress
 from edgectl.model.cycle import Cycle
@@ -94,3 +94,13 @@ def _describe_trial_outcome(progress: TrialProgress, trial: Trial) -> str:
         return f"finished in {format_duration(round(trial.latency, 1))}, {moved}"
     missing = ", ".join(task for task in progress.until if task not in trial.completed)
     return f"not finished, {missing} did not complete (counts as {format_duration(trial.latency)}); {moved}"
+
+
+@contextlib.contextmanager
+def show_world_progress(count: int) -> Iterator[Callable[[], None]]:
+    """A function to call after each of ``count`` worlds of a sweep: a bar on a terminal, else nothing."""
+    if not count or not can_show_bar():
+        yield lambda: None
+        return
+    with show_progress_bar("worlds", count) as advance:
+        yield lambda: advance("")

@@ -1,0 +1,1 @@
+"""Sweeps on the real engines: ``make engines``."""

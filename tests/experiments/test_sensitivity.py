@@ -1,0 +1,24 @@
+"""The page of sensitivity is made of its committed results."""
+
+import pytest
+
+from edgectl.experiments.files.sweep_results import list_missing
+from tests.experiments.sensitivity import FIGURE, PAGE, draw_figure, load, render_table, replace_table
+
+
+def test_all_worlds_have_a_committed_result() -> None:
+    sweep, results = load()
+    assert list_missing(sweep.worlds, results) == [], "make sensitivity simulates them"
+
+
+def test_the_table_is_that_of_the_results() -> None:
+    page = PAGE.read_text()
+    assert replace_table(page, render_table(*load())) == page, "make sensitivity writes it"
+
+
+@pytest.mark.slow
+def test_the_figure_shows_what_the_table_says() -> None:
+    drawn = draw_figure(*load()).decode()
+    for text in ("dynamic wins", "static is enough", "local is best or as good", "radio: shared"):
+        assert text in drawn
+        assert text in FIGURE.read_text()
