@@ -25,6 +25,7 @@ COMMANDS = {
     "plan": CommandEntry(
         "cli.plan", "Schedule", "Rank hosts for each task and show the changes, with reasons."
     ),
+    "diff": CommandEntry("cli.diff", "Schedule", "Show what apply would change; exit 1 if anything."),
     "apply": CommandEntry("cli.apply", "Schedule", "Start, stop and move tasks to match the plan."),
     "watch": CommandEntry("cli.watch", "Schedule", "Re-plan periodically; with --apply, also apply."),
     "status": CommandEntry("cli.status", "Inspect", "Show where tasks run and what needs attention."),

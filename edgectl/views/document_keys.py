@@ -45,6 +45,7 @@ _OTHER_TASK = (
 # Kind -> keys of each item of a list.
 LIST_KEYS: KeysByName = {
     "change": ("type", "at", "object"),
+    "difference": ("task", "action", "reason", "previous_host", "host", "lines"),
     "edge": _HOST,
     "event": _EVENT,
     "finding": ("host", "check", "level", "message", "hint"),

@@ -338,6 +338,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "host_names": "names of hosts",
         "items": "the things of the document",
         "left": "tasks that are left on drained hosts",
+        "lines": "places of a task in a difference: - runs now, + would run",
         "log_tail": "last lines of output",
         "needs": "tasks that have to run or to complete first",
         "node_names": "ROS nodes of a task, as its command and its question to the graph name them",

@@ -161,7 +161,13 @@ def test_a_task_is_moved_by_hand_and_stays_until_it_is_unpinned(desk: Desk) -> N
     assert desk.where("slam") == here
     assert f"slam is pinned to {there} until " in desk.run("status").stderr
     assert f"pinned to {there}" in desk.call("plan")
+    differs = desk.run("diff")
+    assert (differs.returncode, differs.stdout.splitlines()[3:]) == (
+        1,
+        [f"-slam on {here}", f"+slam on {there}"],
+    )
     desk.call("apply", "--yes")
+    assert desk.call("diff") == ""
     assert desk.where("slam") == there
     assert f"edgectl move pinned it to {there}" in desk.call("explain", "slam").replace("\n", " ")
     assert f"{there} until " in desk.call("describe", "task", "slam")

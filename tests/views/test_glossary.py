@@ -19,6 +19,7 @@ from edgectl.model.resource import RESOURCES
 from edgectl.rules.awaited_state import AwaitedState, TaskProgress
 from edgectl.views.byte_counters import ByteCountersView
 from edgectl.views.diagnosis import DiagnosisView
+from edgectl.views.diff import DiffView
 from edgectl.views.dry_run import RequestsView
 from edgectl.views.events import EventsView
 from edgectl.views.explanation import ExplanationView
@@ -60,6 +61,7 @@ REQUEST = {"host": "edge1", "phase": "start", "task": "slam", "command": "python
 
 def list_views() -> Iterator[View]:
     yield from (view for what, view in test_forms.views().items() if what not in ("plan", "snapshot"))
+    yield DiffView(test_forms.plan())
     yield from map(test_describe.host_view, ("edge1", "edge2", "robot1"))
     yield from (test_describe.task_view(), test_describe.task_view("idle"))
     yield from (test_top.hosts_view(), test_top.tasks_view(test_top.saying()))
