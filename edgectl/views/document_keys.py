@@ -47,6 +47,8 @@ LIST_KEYS: KeysByName = {
     "change": ("type", "at", "object"),
     "difference": ("task", "action", "reason", "previous_host", "host", "lines"),
     "edge": _HOST,
+    "all": ("kind", *dict.fromkeys((*_HOST, *_TASK, *_LINK))),
+    "host": _HOST,
     "event": _EVENT,
     "finding": ("host", "check", "level", "message", "hint"),
     "host-usage": (*_HOST, "history"),

@@ -26,7 +26,7 @@ from edgectl.views.explanation import ExplanationView
 from edgectl.views.glossary import KeyEntry, KeyType, list_keys
 from edgectl.views.history import HistoryView, RevisionView
 from edgectl.views.host_keys import HostKeysView
-from edgectl.views.listing import ListingChangesView
+from edgectl.views.listing import AllListingsView, ListingChangesView
 from edgectl.views.listing_items import ListingKind, compare_listings
 from edgectl.views.output import EnvelopeView, ItemView, ListView, View
 from edgectl.views.profile import ProfileView
@@ -52,7 +52,7 @@ from tests.views import (
     test_standbys,
     test_top,
 )
-from tests.views.fixtures import ROOT
+from tests.views.fixtures import ROOT, plan
 from tests.views.outputs_page import render_outputs_page
 
 GLOSSARY = {entry.key: entry for entry in list_keys()}
@@ -61,7 +61,10 @@ REQUEST = {"host": "edge1", "phase": "start", "task": "slam", "command": "python
 
 def list_views() -> Iterator[View]:
     yield from (view for what, view in test_forms.views().items() if what not in ("plan", "snapshot"))
-    yield DiffView(test_forms.plan())
+    yield DiffView(plan())
+    yield AllListingsView(
+        [test_listing.listed(kind) for kind in (ListingKind.HOSTS, ListingKind.TASKS, ListingKind.LINKS)]
+    )
     yield from map(test_describe.host_view, ("edge1", "edge2", "robot1"))
     yield from (test_describe.task_view(), test_describe.task_view("idle"))
     yield from (test_top.hosts_view(), test_top.tasks_view(test_top.saying()))
