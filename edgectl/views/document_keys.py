@@ -89,6 +89,7 @@ ITEM_KEYS: KeysByName = {
         "deadline_s", "latencies", "standbys",
     ),
     "map-score": ("ssim",),
+    "reference": ("name", "meaning", "values", "default", "keys"),
     "result": _RESULT,
     "revision": (*_REVISION, "actions", "placements"),
     "robot": _HOST_DETAILS,

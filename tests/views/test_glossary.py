@@ -9,6 +9,7 @@ import pytest
 
 import edgectl.experiments.views
 import edgectl.views
+from edgectl.config.key_reference import find_reference
 from edgectl.experiments.views.experiment import ExperimentView
 from edgectl.experiments.views.map_score import MapScoreView
 from edgectl.experiments.views.replay import ReplayView
@@ -31,6 +32,7 @@ from edgectl.views.listing_items import ListingKind, compare_listings
 from edgectl.views.output import EnvelopeView, ItemView, ListView, View
 from edgectl.views.profile import ProfileView
 from edgectl.views.profilers import ProfilersView
+from edgectl.views.reference import ReferenceView
 from edgectl.views.results import DrainView
 from edgectl.views.status import StatusView
 from edgectl.views.wait import WaitView
@@ -62,6 +64,7 @@ REQUEST = {"host": "edge1", "phase": "start", "task": "slam", "command": "python
 def list_views() -> Iterator[View]:
     yield from (view for what, view in test_forms.views().items() if what not in ("plan", "snapshot"))
     yield DiffView(plan())
+    yield ReferenceView(find_reference("task.demand"))
     yield AllListingsView(
         [test_listing.listed(kind) for kind in (ListingKind.HOSTS, ListingKind.TASKS, ListingKind.LINKS)]
     )
