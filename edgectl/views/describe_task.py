@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from edgectl.formats.document import Document
+from edgectl.formats.event_document import encode_event
 from edgectl.model.check import Check
 from edgectl.model.event import Event
 from edgectl.model.inventory import Inventory
@@ -15,7 +16,6 @@ from edgectl.model.task import Task, Tasks, list_node_names
 from edgectl.units import format_bytes, format_cores, format_duration, format_instant
 from edgectl.views import metrics
 from edgectl.views.describe import Field, format_pairs, render_events_section, render_fields, render_section
-from edgectl.views.events import encode_event
 from edgectl.views.glossary import head
 from edgectl.views.latency import format_ms
 from edgectl.views.output import ItemView

@@ -57,7 +57,7 @@ class ReferenceView(ItemView):
         return {
             "name": entry.name,
             "meaning": entry.meaning,
-            "values": entry.values or None,
+            "allowed": entry.values or None,
             "default": entry.default or None,
             "keys": [each.name for each in entry.keys],
         }

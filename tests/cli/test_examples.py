@@ -37,6 +37,7 @@ ASKING = ("edgectl apply", "edgectl drain edge1", "edgectl rollback")
 BUSY = 75  # the demo's tasks run
 FULL = 4  # the other edges of the demo have no room for all that runs on edge1
 CODES = {
+    "edgectl events test --kind task-failed": 64,  # the example fleet states no on_event
     "edgectl plan --without edge2 --detailed-exitcode": 3,  # slam-robot2 is pinned there
     "edgectl profile slam-robot1 --write --yes": 1,  # too few samples after these few commands
     "edgectl wait map-merge --for completed --timeout 2s": 1,
@@ -61,7 +62,9 @@ def examples() -> list[str]:
 
     found: list[str] = []
     for name, entry in COMMANDS.items():
-        function = getattr(import_module(f"edgectl.{entry.module}"), f"{name.replace(' ', '_')}_command")
+        function = getattr(
+            import_module(f"edgectl.{entry.module}"), f"{name.replace(' ', '_').replace('-', '_')}_command"
+        )
         found += [line.strip() for line in split_docstring(function)[1].splitlines()]
     early = [line for start in EARLY for line in found if line.startswith(start)]
     late = [line for start in LATE for line in found if line.startswith(start)]

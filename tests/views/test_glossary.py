@@ -15,10 +15,12 @@ from edgectl.experiments.views.map_score import MapScoreView
 from edgectl.experiments.views.replay import ReplayView
 from edgectl.formats.document import Document
 from edgectl.model.cycle import Cycle
+from edgectl.model.event import EventHook
 from edgectl.model.host_key import HostKeyReport
 from edgectl.model.resource import RESOURCES
 from edgectl.rules.awaited_state import AwaitedState, TaskProgress
 from edgectl.views.byte_counters import ByteCountersView
+from edgectl.views.config import ContextRow, ContextsView, Setting, SettingsView
 from edgectl.views.diagnosis import DiagnosisView
 from edgectl.views.diff import DiffView
 from edgectl.views.dry_run import RequestsView
@@ -26,6 +28,7 @@ from edgectl.views.events import EventsView
 from edgectl.views.explanation import ExplanationView
 from edgectl.views.glossary import KeyEntry, KeyType, list_keys
 from edgectl.views.history import HistoryView, RevisionView
+from edgectl.views.hook_trials import HookTrialsView
 from edgectl.views.host_keys import HostKeysView
 from edgectl.views.listing import AllListingsView, ListingChangesView
 from edgectl.views.listing_items import ListingKind, compare_listings
@@ -84,6 +87,7 @@ def list_views() -> Iterator[View]:
         ByteCountersView(test_byte_counters.FOUND),
         ProfilersView(test_profilers.FOUND),
         DiagnosisView(test_diagnosis.FOUND),
+        HookTrialsView([(EventHook(command=("mail",)), "failed", 0.25)]),
     )
     yield ExplanationView(*test_explanation.taken_apart())
     yield ExplanationView(*test_explanation.with_latency())
@@ -96,6 +100,10 @@ def list_views() -> Iterator[View]:
     yield MapScoreView(0.5)
     yield HostKeysView(
         [HostKeyReport(host="edge1", key_type="ssh-ed25519", fingerprint="SHA256:x", state="known")]
+    )
+    yield SettingsView([Setting(name="tasks", values=("a", "b"), origin="-t")], ["no inventory"], origin=True)
+    yield ContextsView(
+        [ContextRow(name="lab", chosen=True, inventories=("lab.yaml",), tasks=(), origin="edgectl.yaml:3")]
     )
     yield WaitView([TaskProgress(task="slam", reached=True, state="ready", host="edge1")], AwaitedState.READY)
 
