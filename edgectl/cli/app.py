@@ -4,7 +4,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import typer
 from typer.core import TyperGroup
@@ -41,7 +41,7 @@ COMMANDS = {
         "cli.top", "Inspect", "Show resource usage of tasks against their demand, now and lately."
     ),
     "wait": CommandEntry("cli.wait", "Inspect", "Wait until tasks are ready, completed or gone."),
-    "logs": CommandEntry("cli.status", "Inspect", "Print the logs of a task."),
+    "logs": CommandEntry("cli.logs", "Inspect", "Print the logs of tasks."),
     "events": CommandEntry("cli.events", "Inspect", "List recent events."),
     "explain": CommandEntry("cli.explain", "Inspect", "Explain a placement and what would change it."),
     "graph": CommandEntry("cli.graph", "Inspect", "Export the task graph as Mermaid or DOT."),
@@ -265,8 +265,16 @@ def _root_callback(
             help="A fleet that edgectl.yaml or the user's configuration names.",
         ),
     ] = None,
+    color: Annotated[
+        Literal["auto", "always", "never"], typer.Option("--color", help="Colour the output.")
+    ] = "auto",
 ) -> None:
     """Options of every command. The entry point acts on --insecure-files: settings are read before this."""
+    if color != "auto":
+        # Children, such as a pager or ssh, are told the same way.
+        for name in ("NO_COLOR", "FORCE_COLOR"):
+            os.environ.pop(name, None)
+        os.environ["FORCE_COLOR" if color == "always" else "NO_COLOR"] = "1"
     if context is not None or "edgectl.cli.project" in sys.modules:
         from edgectl.cli.project import use_context_option
 
