@@ -268,8 +268,16 @@ def _root_callback(
     color: Annotated[
         Literal["auto", "always", "never"], typer.Option("--color", help="Colour the output.")
     ] = "auto",
+    verbose: Annotated[
+        int, typer.Option("--verbose", "-v", count=True, help="Print requests to hosts; -vv: and SSH.")
+    ] = 0,
+    log_format: Annotated[Literal["text", "json"], typer.Option("--log-format", help="Of -v.")] = "text",
 ) -> None:
     """Options of every command. The entry point acts on --insecure-files: settings are read before this."""
+    if verbose:
+        from edgectl.cli.verbosity import show_trace
+
+        show_trace(verbose, log_format)
     if color != "auto":
         # Children, such as a pager or ssh, are told the same way.
         for name in ("NO_COLOR", "FORCE_COLOR"):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -238,3 +239,26 @@ def test_a_dry_run_of_profilers_starts_none(desk: Desk) -> None:
     states = json.loads(desk.call("profilers", "status", "-o", "json"))["items"]
     assert {each["state"] for each in states} == {"not-running"}
     assert desk.run("profilers", "stop", "--dry-run").stderr == ""
+
+
+def test_what_is_sent_can_be_watched(desk: Desk) -> None:
+    """Logins and requests with their durations on stderr, failures too, and never a command or an environment."""
+    said = desk.run("-v", "get", "hosts", "--no-headers")
+    lines = said.stderr.splitlines()
+    for host in HOSTS:
+        assert any(re.fullmatch(rf"{host}: login [0-9.]+s ok", line) for line in lines), lines
+        assert any(re.fullmatch(rf"{host}: probe [0-9.]+s ok", line) for line in lines), lines
+    desk.lab["edge2"].stop()
+    try:
+        failed = desk.run("restart", "slam", "--yes", "--log-format", "json", "-vv")
+    finally:
+        desk.lab["edge2"].restart()
+    events = [json.loads(line) for line in failed.stderr.splitlines() if line.startswith("{")]
+    assert {"host": "edge2", "operation": "login", "error": "connection refused"} in [
+        {key: value for key, value in event.items() if key in ("host", "operation", "error")}
+        for event in events
+    ]
+    assert any(event.get("operation") == "start" and event["task"] == "slam" for event in events)
+    assert any("Authentication" in event.get("ssh", "") for event in events)
+    assert "slam up" not in failed.stderr
+    assert desk.run("get", "hosts").stderr == ""
