@@ -241,6 +241,29 @@ def test_a_dry_run_of_profilers_starts_none(desk: Desk) -> None:
     assert desk.run("profilers", "stop", "--dry-run").stderr == ""
 
 
+def test_a_plan_is_printed_when_it_differs(desk: Desk) -> None:
+    """Two plans: the present one, and the one in which slam has been pinned elsewhere."""
+    here = desk.where("slam")
+    there = next(host for host in HOSTS if host != here)
+    process = ForkedProcess(
+        ["plan", "-w", "--every", "200ms", "--target", "slam", "-o", "jsonl"],
+        cwd=desk.folder, env=desk.env, stdout=subprocess.PIPE,
+    )  # fmt: skip
+    assert process.stdout is not None
+    try:
+        with process.stdout as lines:
+            first = [json.loads(lines.readline()) for _ in range(3)]
+            desk.call("move", "slam", there)
+            second = [json.loads(lines.readline()) for _ in range(3)]
+            process.send_signal(signal.SIGINT)
+            assert process.wait(patience(60)) == 0
+    finally:
+        desk.call("unpin", "slam")
+    places = [{row["task"]: (row["action"], row["host"]) for row in rows}["slam"] for rows in (first, second)]
+    assert places == [("keep", here), ("move", there)]
+    assert desk.run("plan", "-w", "--out", "next.plan").returncode == 64
+
+
 def test_what_is_sent_can_be_watched(desk: Desk) -> None:
     """Logins and requests with their durations on stderr, failures too, and never a command or an environment."""
     said = desk.run("-v", "get", "hosts", "--no-headers")
