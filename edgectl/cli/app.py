@@ -4,7 +4,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import typer
 from typer.core import TyperGroup
@@ -26,6 +26,7 @@ COMMANDS = {
     "plan": CommandEntry(
         "cli.plan", "Schedule", "Rank hosts for each task and show the changes, with reasons."
     ),
+    "diff": CommandEntry("cli.diff", "Schedule", "Show what apply would change; exit 1 if anything."),
     "apply": CommandEntry("cli.apply", "Schedule", "Start, stop and move tasks to match the plan."),
     "watch": CommandEntry("cli.watch", "Schedule", "Re-plan periodically; with --apply, also apply."),
     "status": CommandEntry("cli.status", "Inspect", "Show where tasks run and what needs attention."),
@@ -40,7 +41,7 @@ COMMANDS = {
         "cli.top", "Inspect", "Show resource usage of tasks against their demand, now and lately."
     ),
     "wait": CommandEntry("cli.wait", "Inspect", "Wait until tasks are ready, completed or gone."),
-    "logs": CommandEntry("cli.status", "Inspect", "Print the logs of a task."),
+    "logs": CommandEntry("cli.logs", "Inspect", "Print the logs of tasks."),
     "events": CommandEntry("cli.events", "Inspect", "List recent events."),
     "explain": CommandEntry("cli.explain", "Inspect", "Explain a placement and what would change it."),
     "graph": CommandEntry("cli.graph", "Inspect", "Export the task graph as Mermaid or DOT."),
@@ -271,8 +272,24 @@ def _root_callback(
             help="A fleet that edgectl.yaml or the user's configuration names.",
         ),
     ] = None,
+    color: Annotated[
+        Literal["auto", "always", "never"], typer.Option("--color", help="Colour the output.")
+    ] = "auto",
+    verbose: Annotated[
+        int, typer.Option("--verbose", "-v", count=True, help="Print requests to hosts; -vv: and SSH.")
+    ] = 0,
+    log_format: Annotated[Literal["text", "json"], typer.Option("--log-format", help="Of -v.")] = "text",
 ) -> None:
     """Options of every command. The entry point acts on --insecure-files: settings are read before this."""
+    if verbose:
+        from edgectl.cli.verbosity import show_trace
+
+        show_trace(verbose, log_format)
+    if color != "auto":
+        # Children, such as a pager or ssh, are told the same way.
+        for name in ("NO_COLOR", "FORCE_COLOR"):
+            os.environ.pop(name, None)
+        os.environ["FORCE_COLOR" if color == "always" else "NO_COLOR"] = "1"
     if context is not None or "edgectl.cli.project" in sys.modules:
         from edgectl.cli.project import use_context_option
 

@@ -1,7 +1,7 @@
 """Shell completion from local files; no host is contacted."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,6 +10,7 @@ from edgectl.errors import EdgectlError
 
 if TYPE_CHECKING:
     from edgectl.cli.project import ChosenFiles
+    from edgectl.model.task import Task
 
 
 def complete_hosts(incomplete: str) -> list[str]:
@@ -25,15 +26,54 @@ def complete_hosts(incomplete: str) -> list[str]:
 
 def complete_tasks(incomplete: str) -> list[str]:
     """Names of tasks in the task files."""
+    return [name for name in _load_named_tasks() if name.startswith(incomplete)]
+
+
+def complete_labels(incomplete: str) -> list[str]:
+    """Labels of the tasks, and those that follow from their files, as key=value; after a comma, one more."""
+    from edgectl.cli.task_names import label_task
+
+    done, comma, begun = incomplete.rpartition(",")
+    found = {
+        f"{key}={value}"
+        for task in _load_named_tasks().values()
+        for key, values in label_task(task).items()
+        for value in ([values] if isinstance(values, str) else values)
+    }
+    return [done + comma + label for label in sorted(found) if label.startswith(begun)]
+
+
+def complete_weights(incomplete: str) -> list[str]:
+    """Presets of weights."""
+    from edgectl.model.policy import WEIGHT_PRESETS
+
+    return [name for name in WEIGHT_PRESETS if name.startswith(incomplete)]
+
+
+def complete_revisions(incomplete: str) -> list[str]:
+    """Numbers of applied revisions, newest first."""
+    from edgectl.config.load import load_inventory
+    from edgectl.state.paths import get_fleet_path
+    from edgectl.state.revisions import load_revisions
+
+    try:
+        fleet = load_inventory(_choose_named_files().inventories).fleet
+        numbers = [str(revision.number) for revision in load_revisions(get_fleet_path(fleet))]
+    except EdgectlError:
+        return []
+    return [number for number in reversed(numbers) if number.startswith(incomplete)]
+
+
+def _load_named_tasks() -> "Mapping[str, Task]":
+    """The tasks of the files; none where they cannot be read."""
     from edgectl.cli.user_files import list_task_files
     from edgectl.config.load import load_inventory_and_tasks
 
     try:
         chosen = _choose_named_files()
-        names = load_inventory_and_tasks(chosen.inventories, list_task_files(chosen))[1].tasks
+        return load_inventory_and_tasks(chosen.inventories, list_task_files(chosen))[1].tasks
     except EdgectlError:
-        return []
-    return [name for name in names if name.startswith(incomplete)]
+        return {}
 
 
 def complete_contexts(incomplete: str) -> list[str]:

@@ -14,10 +14,12 @@ _HostsArgument = Annotated[
     Argument(
         metavar="[HOST...]",
         autocompletion=host_names,
+        parser=options.strip_host_kind,
         help="Edges of the inventory; default: all.",
         show_default=False,
     ),
 ]
+_DryRunOption = Annotated[bool, Option("--dry-run", help="Only print the script for root of each host.")]
 _ScriptOption = Annotated[bool, Option("--script", help="Only print the script for root of the one HOST.")]
 
 
@@ -28,6 +30,7 @@ def counters_install_command(
     tasks: options.TasksOption = None,
     output: options.NamedOutput = OutputFormat.TABLE,
     script: _ScriptOption = False,
+    dry_run: _DryRunOption = False,
 ) -> None:
     """Install byte counters of nftables on edges, so that UDP is measured too, as of ROS 2.
 
@@ -37,7 +40,7 @@ def counters_install_command(
         edgectl counters install
         edgectl counters install edge1 --script
     """
-    _run_action("install", hosts or [], inventory, tasks, output, script=script)
+    _run_action("install", hosts or [], inventory, tasks, output, script=script, dry_run=dry_run)
 
 
 def counters_remove_command(
@@ -47,13 +50,14 @@ def counters_remove_command(
     tasks: options.TasksOption = None,
     output: options.NamedOutput = OutputFormat.TABLE,
     script: _ScriptOption = False,
+    dry_run: _DryRunOption = False,
 ) -> None:
     """Remove the byte counters of this fleet from edges, and nothing else.
 
     Examples:
         edgectl counters remove edge1
     """
-    _run_action("remove", hosts or [], inventory, tasks, output, script=script)
+    _run_action("remove", hosts or [], inventory, tasks, output, script=script, dry_run=dry_run)
 
 
 def counters_show_command(
@@ -80,6 +84,7 @@ def _run_action(
     output: OutputFormat,
     *,
     script: bool,
+    dry_run: bool = False,
 ) -> None:
     from edgectl.cli.connect import build_fleet
     from edgectl.errors import UsageError
@@ -91,6 +96,10 @@ def _run_action(
     fleet = build_fleet(load_inputs(inventory, tasks))
     if script:
         console.print_text(build_script(fleet, hosts[0], action))
+        return
+    if dry_run:
+        for name in hosts or [edge.name for edge in fleet.inventory.edges]:
+            console.print_text(f"# {name}\n{build_script(fleet, name, action)}")
         return
     found = ask_counters(fleet, hosts, action)
     console.print_view(ByteCountersView(found), output)

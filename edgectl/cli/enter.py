@@ -8,6 +8,7 @@ from typing import Annotated
 from typer import Argument, Exit, Option
 
 from edgectl.cli import console, options
+from edgectl.cli.task_names import resolve_task_name
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import ExitCode, UsageError
 from edgectl.names import check_known_names
@@ -39,6 +40,7 @@ def exec_command(
     from edgectl.usecases.enter import find_enter_command
 
     fleet = build_fleet(load_inputs(inventory, tasks))
+    task = resolve_task_name(task, fleet.tasks)
     _become(find_enter_command(fleet, task, words, tty=_check_terminal(tty)), dry_run=dry_run)
 
 

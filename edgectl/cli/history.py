@@ -6,6 +6,7 @@ from typing import Annotated
 from typer import Argument, Exit
 
 from edgectl.cli import console, exit_codes, options
+from edgectl.cli.completion import complete_revisions
 from edgectl.cli.user_files import load_inputs
 from edgectl.views.output_format import OutputFormat
 
@@ -34,7 +35,10 @@ def show_command(
     what: Annotated[
         str,
         Argument(
-            metavar="REV|PLAN", help="A number of edgectl history, or a saved plan.", show_default=False
+            metavar="REV|PLAN",
+            autocompletion=complete_revisions,
+            help="A number of edgectl history, or a saved plan.",
+            show_default=False,
         ),
     ],
     inventory: options.InventoryOption = None,
@@ -73,6 +77,7 @@ def rollback_command(
         int | None,
         Argument(
             metavar="[REV]",
+            autocompletion=complete_revisions,
             min=1,
             help="Number of a revision; default: the one before the last.",
             show_default=False,

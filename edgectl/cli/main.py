@@ -10,7 +10,10 @@ from collections.abc import Sequence
 from typing import Any
 
 _INTERRUPTED = 130  # ExitCode.INTERRUPTED
-_INSECURE_FILES, _CONTEXT = "--insecure-files", "--context"
+_INSECURE_FILES = "--insecure-files"
+# Options of every command that have a value.
+_WITH_VALUE = ("--context", "--color", "--log-format")
+_ALONE = (_INSECURE_FILES, "-v", "-vv", "--verbose")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -89,15 +92,15 @@ def _load_option_defaults(command: Any, words: Sequence[str]) -> dict[str, Any] 
 
 
 def split_global_options(words: Sequence[str]) -> tuple[list[str], list[str]]:
-    """``--insecure-files`` and ``--context NAME``, which may stand anywhere; and all other words."""
+    """The options of every command, which may stand anywhere, with their values; and all other words."""
     own, others = [], []
     rest = iter(words)
     for word in rest:
         if word == "--":
             others += [word, *rest]
-        elif word == _CONTEXT:
+        elif word in _WITH_VALUE:
             own += [word, *itertools.islice(rest, 1)]
-        elif word == _INSECURE_FILES or word.startswith(f"{_CONTEXT}="):
+        elif word in _ALONE or word.partition("=")[0] in _WITH_VALUE:
             own.append(word)
         else:
             others.append(word)

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, get_origin
 
 from typer import Argument, Option
 
-from edgectl.cli.completion import complete_hosts, complete_tasks
+from edgectl.cli.completion import complete_hosts, complete_labels, complete_tasks, complete_weights
 from edgectl.cli.project import PreferredOutput
 from edgectl.dataclass import dataclass
 from edgectl.model.policy import PolicyName
@@ -86,11 +86,17 @@ SnapshotOption = Annotated[
 ]
 WeightsOption = Annotated[
     str | None,
-    Option("--weights", "-W", metavar="WEIGHTS", help="cpu, memory, network, task, all, or cpu=.5,task=1."),
+    Option(
+        "--weights",
+        "-W",
+        metavar="WEIGHTS",
+        autocompletion=complete_weights,
+        help="cpu, memory, network, task, all, or cpu=.5,task=1.",
+    ),
 ]
 PolicyOption = Annotated[
     PolicyName | None,
-    Option("--policy", metavar="NAME", help="utility, static, local, least-loaded, pack, random, .."),
+    Option("--policy", metavar="NAME", help="utility, static, local, least-loaded, pack, .."),
 ]
 BestEffortOption = Annotated[bool, Option("--best-effort", help="Place a task even where it does not fit.")]
 PruneOption = Annotated[bool, Option("--prune", help="Also stop the tasks of other task files.")]
@@ -116,6 +122,7 @@ SelectorOption = Annotated[
         "--selector",
         "-l",
         metavar="LABELS",
+        autocompletion=complete_labels,
         help="With these labels: a=b, a!=b, a in (b,c), a, !a.",
     ),
 ]

@@ -5,6 +5,7 @@ from typing import Annotated
 from typer import Exit, Option
 
 from edgectl.cli import console, exit_codes, options
+from edgectl.cli.task_names import expand_task_names, resolve_task_name
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import ExitCode
 
@@ -36,6 +37,7 @@ def move_command(
     from edgectl.views.reasons import describe_pin, describe_reason
 
     loaded = load_inputs(inventory, tasks)
+    task = resolve_task_name(task, loaded.tasks)
     moved = pin_task(
         build_fleet(loaded),
         loaded.tasks.policy,
@@ -64,7 +66,8 @@ def unpin_command(
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases.pins import unpin_tasks
 
-    found = unpin_tasks(build_fleet(load_inputs(inventory, tasks)), names, dry_run=dry_run)
+    fleet = build_fleet(load_inputs(inventory, tasks))
+    found = unpin_tasks(fleet, expand_task_names(names, fleet.tasks), dry_run=dry_run)
     for name, pinned in found.items():
         act = "unpinned" if pinned else "was not pinned"
         console.print_text(f"task/{name} {act}{options.DRY_RUN_SUFFIX if dry_run else ''}\n")

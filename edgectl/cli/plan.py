@@ -1,10 +1,20 @@
 """plan command."""
 
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
 from typer import Exit
 
 from edgectl.cli import console, exit_codes, options
 from edgectl.cli.user_files import load_inputs, save_file
+from edgectl.errors import UsageError
 from edgectl.views.output_format import OutputFormat
+
+if TYPE_CHECKING:
+    from edgectl.model.plan import Plan
+    from edgectl.model.policy import Policy
+    from edgectl.model.snapshot import Snapshot
+    from edgectl.usecases.fleet import Fleet
 
 
 def plan_command(
@@ -16,17 +26,21 @@ def plan_command(
     out: options.SavePlanOption = None,
     overrides: options.PlanPolicyOptions,
     limits: options.PlanFilterOptions,
+    watch: options.WatchOption = False,
+    every: options.EveryOption = "2s",
     detailed: options.DetailedExitcodeOption = False,
     allow_unreachable: options.AllowUnreachableOption = False,
     accept_new: options.AcceptNewOption = False,
 ) -> None:
     """Rank hosts for each task by utility and show the changes, with reasons. Nothing is changed.
 
+    With -w the plan is made again and again, and printed when it differs (edgectl watch smooths loads).
+
     Examples:
         edgectl plan
         edgectl plan -o wide --weights network
         edgectl plan --out next.plan
-        edgectl plan --without edge2 --detailed-exitcode
+        edgectl plan -w --every 5s
     """
     from edgectl.cli.connect import build_fleet, build_offline_fleet
     from edgectl.cli.policy_options import build_plan_filter, policy_from_options, require_solver
@@ -40,6 +54,10 @@ def plan_command(
     fleet = build_offline_fleet(loaded) if snapshot else build_fleet(loaded, accept_new=accept_new)
     how = policy_from_options(fleet, overrides)
     require_solver(how)
+    if watch:
+        if snapshot is not None or out is not None:
+            raise UsageError("-w plans from hosts, again and again", hint="omit --snapshot and --out")
+        return _watch_plans(fleet, how, choose, every, output)
     result = choose(
         make_plan(
             fleet,
@@ -60,3 +78,28 @@ def plan_command(
         console.print_message(f"saved {out}; apply it with: edgectl apply {out}")
     console.print_view(view, output)
     raise Exit(exit_codes.of_plan(result, detailed=detailed, allow_unreachable=allow_unreachable))
+
+
+def _watch_plans(
+    fleet: "Fleet", how: "Policy", choose: "Callable[[Plan], Plan]", every: str, output: OutputFormat
+) -> None:
+    """Each plan that decides otherwise than the one before, until Ctrl-C."""
+    from edgectl.cli.signals import catch_stop_signals, parse_every_option
+    from edgectl.usecases.plan import make_plan
+    from edgectl.usecases.status import probe_repeatedly
+    from edgectl.views.output_format import NAMED_STREAM_FORMATS, check_output_format
+    from edgectl.views.plan import PlanView
+
+    check_output_format(output, NAMED_STREAM_FORMATS)
+
+    def list_changed(snapshots: "Iterator[Snapshot]") -> "Iterator[PlanView]":
+        before: object = None
+        for snapshot in snapshots:
+            plan = choose(make_plan(fleet, how, snapshot=snapshot, recorded=False))
+            decided = [(step.task, step.action, step.decision.host, step.stop) for step in plan.steps]
+            if decided != before:
+                yield PlanView(plan)
+            before = decided
+
+    with catch_stop_signals(parse_every_option(every)) as end:
+        console.print_view_series(list_changed(probe_repeatedly(fleet, end)), output)

@@ -1,6 +1,7 @@
 """Commands for resident profilers: start, stop, status."""
 
-from typing import Annotated
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 from typer import Argument, Exit, Option
 
@@ -9,11 +10,15 @@ from edgectl.cli.completion import complete_hosts as host_names
 from edgectl.cli.user_files import load_inputs
 from edgectl.views.output_format import OutputFormat
 
+if TYPE_CHECKING:
+    from edgectl.usecases.fleet import Fleet
+
 _HostsArgument = Annotated[
     list[str] | None,
     Argument(
         metavar="[HOST...]",
         autocompletion=host_names,
+        parser=options.strip_host_kind,
         help="Names in the inventory; default: all.",
         show_default=False,
     ),
@@ -30,6 +35,7 @@ def profilers_start_command(
     ttl: Annotated[
         str, Option("--ttl", metavar="TIME", help="End after this time without a request.")
     ] = "1h",
+    dry_run: options.DryRunMarkOption = False,
 ) -> None:
     """Start a resident profiler on each host, so that a probe needs no sample window.
 
@@ -39,12 +45,15 @@ def profilers_start_command(
     Examples:
         edgectl profilers start
         edgectl profilers start edge1 --every 500ms --ttl 1d
+        edgectl profilers start --dry-run
     """
     from edgectl.cli.connect import build_fleet, parse_duration_option
     from edgectl.usecases.profilers import start_profilers
     from edgectl.views.profilers import ProfilersView
 
     fleet = build_fleet(load_inputs(inventory, tasks))
+    if dry_run:
+        _print_present(fleet, hosts or (), "start", output)
     found = start_profilers(
         fleet,
         hosts or (),
@@ -82,6 +91,7 @@ def profilers_stop_command(
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     output: options.NamedOutput = OutputFormat.TABLE,
+    dry_run: options.DryRunMarkOption = False,
 ) -> None:
     """Stop resident profilers and verify that they are gone. Probes use a sample window again.
 
@@ -92,6 +102,25 @@ def profilers_stop_command(
     from edgectl.usecases.profilers import stop_profilers
     from edgectl.views.profilers import ProfilersView
 
-    found = stop_profilers(build_fleet(load_inputs(inventory, tasks)), hosts or ())
+    fleet = build_fleet(load_inputs(inventory, tasks))
+    if dry_run:
+        _print_present(fleet, hosts or (), "stop", output)
+    found = stop_profilers(fleet, hosts or ())
     console.print_view(ProfilersView(found), output)
+    raise Exit(exit_codes.of_profilers(found))
+
+
+def _print_present(fleet: "Fleet", hosts: Sequence[str], verb: str, output: OutputFormat) -> NoReturn:
+    """A dry run: what runs now, and on which hosts a profiler would be started or stopped."""
+    from edgectl.model.profiler import ProfilerState
+    from edgectl.usecases.profilers import list_profilers
+    from edgectl.views.profilers import ProfilersView
+
+    found = list_profilers(fleet, hosts)
+    console.print_view(ProfilersView(found), output)
+    for each in found:
+        running = each.state in (ProfilerState.RUNNING, ProfilerState.STALLED)
+        changes = running if verb == "stop" else not (running and each.current)
+        if changes and each.state is not ProfilerState.UNREACHABLE:
+            console.print_message(f"{each.host}: profiler would {verb} (dry run)")
     raise Exit(exit_codes.of_profilers(found))

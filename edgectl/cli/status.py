@@ -1,13 +1,15 @@
-"""status and logs commands."""
+"""status command."""
 
-from collections.abc import Iterable
-from typing import Annotated
+from typing import TYPE_CHECKING
 
-from typer import Exit, Option
+from typer import Exit
 
 from edgectl.cli import console, exit_codes, options
 from edgectl.cli.user_files import load_inputs
 from edgectl.views.output_format import OutputFormat
+
+if TYPE_CHECKING:
+    from edgectl.model.snapshot import Snapshot
 
 
 def status_command(
@@ -15,15 +17,19 @@ def status_command(
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     output: options.FleetOutput = OutputFormat.TABLE,
+    watch: options.WatchOption = False,
+    every: options.EveryOption = "2s",
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
     """Show where tasks run, their age, and their usage against demand. Exit 4 while a wanted task has failed.
+
+    With -w again and again; -o json is then one object per line.
 
     Examples:
         edgectl status
         edgectl status -o json
         edgectl status -o wide
-        edgectl status -o name
+        edgectl status -w --every 5s
     """
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases.plan import find_fleet_shortages
@@ -31,43 +37,21 @@ def status_command(
     from edgectl.views.status import StatusView
 
     fleet = build_fleet(load_inputs(inventory, tasks))
+
+    def build(seen: "Snapshot") -> StatusView:
+        return StatusView(seen, fleet.inventory, fleet.tasks, find_fleet_shortages(fleet, seen))
+
+    if watch:
+        from edgectl.cli.signals import catch_stop_signals, parse_every_option
+        from edgectl.usecases.status import probe_repeatedly
+        from edgectl.views.output_format import NAMED_STREAM_FORMATS, check_output_format
+
+        check_output_format(output, NAMED_STREAM_FORMATS)
+        with catch_stop_signals(parse_every_option(every)) as end:
+            console.print_view_series(map(build, probe_repeatedly(fleet, end)), output)
+        return
     snapshot = probe_fleet(fleet)
-    shortages = find_fleet_shortages(fleet, snapshot)
-    console.print_view(StatusView(snapshot, fleet.inventory, fleet.tasks, shortages), output)
+    console.print_view(build(snapshot), output)
     raise Exit(
         exit_codes.of_status(snapshot, fleet.inventory, fleet.tasks, allow_unreachable=allow_unreachable)
     )
-
-
-def logs_command(
-    *,
-    task: options.TaskArgument,
-    inventory: options.InventoryOption = None,
-    tasks: options.TasksOption = None,
-    follow: Annotated[bool, Option("--follow", "-f", help="Keep printing until Ctrl-C.")] = False,
-    tail: Annotated[
-        int, Option("--tail", "-n", metavar="N", min=0, help="Number of last lines to print.")
-    ] = 100,
-    raw: Annotated[bool, Option("--raw", help="Leave control sequences of the task in.")] = False,
-) -> None:
-    """Print the logs of a task from the host where it runs or ran last, without control sequences.
-
-    Examples:
-        edgectl logs slam-robot1
-        edgectl logs slam-robot1 --tail 20
-        edgectl logs slam-robot1 -f
-    """
-    from edgectl.cli.connect import build_fleet
-    from edgectl.usecases import logs
-    from edgectl.views.text import decode_log
-
-    fleet = build_fleet(load_inputs(inventory, tasks))
-    if follow:
-        found: Iterable[bytes] = logs.follow_log(fleet, task, tail=tail)
-    else:
-        found = [logs.read_log(fleet, task, tail=tail).encode()]
-        if found == [b""]:
-            console.print_message("the log is empty")
-    for text in decode_log(found, raw=raw):
-        if not console.print_part(text):
-            return

@@ -6,6 +6,7 @@ from typer import Argument, Exit, Option
 
 from edgectl.cli import console, exit_codes, options
 from edgectl.cli.completion import complete_tasks as task_names
+from edgectl.cli.task_names import expand_task_names, resolve_task_name
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import ExitCode, UsageError
 from edgectl.model.plan import Action
@@ -51,6 +52,7 @@ def stop_command(
         raise UsageError("name tasks, or pass --all", hint="list running tasks: edgectl status")
     asked = apply_session.check_can_confirm(asked=not (yes or dry_run))
     fleet = build_fleet(load_inputs(inventory, tasks))
+    names = expand_task_names(names or (), fleet.tasks)
     with apply_session.open_apply_session(quiet=False, output=output, asked=asked, dry_run=dry_run) as act:
         chosen = act.options(
             lock_timeout=parse_lock_timeout(lock_timeout),
@@ -93,6 +95,7 @@ def start_command(
     asked = apply_session.check_can_confirm(asked=not (yes or dry_run))
     loaded = load_inputs(inventory, tasks)
     fleet = build_fleet(loaded)
+    names = expand_task_names(names, fleet.tasks)
     with apply_session.open_apply_session(quiet=False, output=output, asked=asked, dry_run=dry_run) as act:
         applied = start_tasks(
             fleet,
@@ -130,6 +133,7 @@ def restart_command(
 
     asked = apply_session.check_can_confirm(asked=not (yes or dry_run))
     fleet = build_fleet(load_inputs(inventory, tasks))
+    task = resolve_task_name(task, fleet.tasks)
     with apply_session.open_apply_session(quiet=False, output=output, asked=asked, dry_run=dry_run) as act:
         applied = restart_task(
             fleet,

@@ -27,6 +27,7 @@ def trust_command(
         Argument(
             metavar="[HOST...]",
             autocompletion=complete_hosts,
+            parser=options.strip_host_kind,
             help="Names in the inventory.",
             show_default=False,
         ),
@@ -36,6 +37,7 @@ def trust_command(
     tasks: options.TasksOption = None,
     output: options.NamedOutput = OutputFormat.TABLE,
     yes: options.YesOption = False,
+    dry_run: options.DryRunMarkOption = False,
 ) -> None:
     """Show the fingerprints of host keys, ask once, and record the new ones in known_hosts. A key that has
     changed is never replaced. Exit 4 while a host has no recorded key.
@@ -43,6 +45,7 @@ def trust_command(
     Examples:
         edgectl trust edge1 --yes
         edgectl trust --all --yes
+        edgectl trust --all --dry-run
     """
     from edgectl.gateway.fanout import fan_out
     from edgectl.transport.trust import fetch_host_key, list_ssh_hosts
@@ -58,9 +61,12 @@ def trust_command(
     shown = [found[position] for position in range(len(wanted))]
     console.print_view(HostKeysView([_report_key(each) for each in shown]), output)
     unknown = [each for each in shown if each.verdict is HostKeyVerdict.UNKNOWN]
-    if unknown and not yes:
+    if dry_run:
+        for each in unknown:
+            console.print_message(f"{each.host.name}: would be recorded (dry run)")
+    elif unknown and not yes:
         _ask_to_trust(unknown)
-    recorded = [_record_key(each) for each in unknown]
+    recorded = [not dry_run and _record_key(each) for each in unknown]
     settled = all(each.verdict in (HostKeyVerdict.KNOWN, HostKeyVerdict.UNKNOWN) for each in shown)
     raise Exit(ExitCode.DONE if settled and all(recorded) else ExitCode.PARTLY)
 

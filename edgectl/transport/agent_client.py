@@ -21,7 +21,7 @@ from edgectl.agent.link import protocol
 from edgectl.errors import DeadlineError, NoPythonError, RefusedError, ReplyError
 from edgectl.model.inventory import Host
 from edgectl.model.text import clean_text
-from edgectl.transport.base import Reply, Session, Transport
+from edgectl.transport.base import Reply, Session, Transport, trace_call
 
 _AGENT_DIR = Path(__file__).parent.parent / "agent"
 _AGENT_PACKAGE = "edgectl_agent"
@@ -111,10 +111,11 @@ def call_agent(
             then.
         ConnectError: the connection was lost.
     """
-    reply = _send_request(session, request, timeout, b"", data)
-    if reply.get("missing") is True:
-        reply = _send_request(session, request, timeout, build_agent_zipapp(), data)
-    return check_reply(reply)
+    with trace_call(str(request.get("host", "")), str(request["op"]), str(request.get("task") or "")):
+        reply = _send_request(session, request, timeout, b"", data)
+        if reply.get("missing") is True:
+            reply = _send_request(session, request, timeout, build_agent_zipapp(), data)
+        return check_reply(reply)
 
 
 def ask_host(

@@ -1,12 +1,17 @@
 """The interface between edgectl and a host: a Session runs one constant command line, bytes in and out.
 
 No user data is ever part of a command line, so no shell interprets it: requests travel on standard input.
+A trace (``edgectl -v``) tells what was asked of which host and how long that took; of a request it has only
+the operation and the task, because commands and environments may hold secrets.
 """
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Protocol, Self
 
 from edgectl.dataclass import dataclass
+from edgectl.errors import HostError
 from edgectl.model.inventory import Host
 
 
@@ -110,3 +115,42 @@ class Transport(Protocol):
     def address(self, host: Host) -> str:
         """The address or name by which other machines reach ``host`` (HostName of ssh_config applied)."""
         ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TraceEvent:
+    """One login or request to ``host``; ``error``: why it failed."""
+
+    host: str
+    operation: str
+    task: str = ""
+    duration_s: float
+    error: str = ""
+
+
+_listeners: list[Callable[[TraceEvent], None]] = []
+
+
+def add_trace_listener(listener: Callable[[TraceEvent], None]) -> None:
+    """Call ``listener`` after each login and request from now on, from any thread."""
+    _listeners.append(listener)
+
+
+@contextmanager
+def trace_call(host: str, operation: str, task: str = "") -> Iterator[None]:
+    """Report the calls within."""
+    if not _listeners:
+        yield
+        return
+    began, error = time.monotonic(), ""
+    try:
+        yield
+    except HostError as failure:
+        error = failure.message
+        raise
+    finally:
+        event = TraceEvent(
+            host=host, operation=operation, task=task, duration_s=time.monotonic() - began, error=error
+        )
+        for listener in _listeners:
+            listener(event)

@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable
 
 from edgectl.model.inventory import Connection, Host
-from edgectl.transport.base import Session, Transport
+from edgectl.transport.base import Session, Transport, trace_call
 from edgectl.transport.deferred_imports import import_deferred
 
 
@@ -25,7 +25,8 @@ class FleetTransport:
 
     def connect(self, host: Host, *, timeout: float) -> Session:
         """As `Transport.connect`."""
-        return self._for(host).connect(host, timeout=timeout)
+        with trace_call(host.name, "login"):
+            return self._for(host).connect(host, timeout=timeout)
 
     def address(self, host: Host) -> str:
         """As `Transport.address`."""

@@ -123,10 +123,15 @@ def list_fenceable_hosts(fleet: Fleet, manager: ManagerState | None = None) -> l
     return [*fleet.inventory.hosts, *(placement.host for placement in manager.placements.values())]
 
 
-def unfence_hosts(fleet: Fleet, names: Sequence[str]) -> frozenset[str]:
-    """Clear the fence of hosts. Returns all hosts that are still fenced."""
+def unfence_hosts(fleet: Fleet, names: Sequence[str], *, dry_run: bool = False) -> frozenset[str]:
+    """Clear the fence of hosts. Returns all hosts that are still fenced.
+
+    ``dry_run``: only check the names.
+    """
     fenced = heartbeats.load_heartbeats(fleet.state, fleet.warn).fenced
     check_known_names(names, [*fleet.inventory.hosts, *sorted(fenced)], "host")
+    if dry_run:
+        return fenced
     with change_marks(fleet, "unfence"):
         return heartbeats.remove_fences(fleet.state, names).fenced
 

@@ -47,8 +47,11 @@ _OTHER_TASK = (
 # Kind -> keys of each item of a list.
 LIST_KEYS: KeysByName = {
     "change": ("type", "at", "object"),
+    "difference": ("task", "action", "reason", "previous_host", "host", "lines"),
     "context": ("context", "chosen", "inventories", "task_files", "origin"),
     "edge": _HOST,
+    "all": ("kind", *dict.fromkeys((*_HOST, *_TASK, *_LINK))),
+    "host": _HOST,
     "event": _EVENT,
     "hook": ("program", "outcome", "duration_s", "message"),
     "finding": ("host", "check", "level", "message", "hint"),
@@ -92,6 +95,7 @@ ITEM_KEYS: KeysByName = {
         "deadline_s", "latencies", "standbys", "carried",
     ),
     "map-score": ("ssim",),
+    "reference": ("name", "meaning", "allowed", "default", "keys"),
     "result": _RESULT,
     "revision": (*_REVISION, "actions", "placements"),
     "robot": _HOST_DETAILS,

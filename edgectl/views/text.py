@@ -113,6 +113,18 @@ def decode_log(parts: Iterable[bytes], *, raw: bool = False) -> Iterator[str]:
     yield rest if raw else clean_log_text(rest)
 
 
+def prefix_lines(parts: Iterable[str], prefix: str) -> Iterator[str]:
+    """``parts`` of a text with ``prefix`` at the beginning of each line; the last one is ended."""
+    begun = False
+    for part in filter(None, parts):
+        ended = part.endswith("\n")
+        lines = part.removesuffix("\n").replace("\n", "\n" + prefix)
+        yield ("" if begun else prefix) + lines + ("\n" if ended else "")
+        begun = not ended
+    if begun:
+        yield "\n"
+
+
 def _escape_character(character: str) -> str:
     return {"\n": "\\n", "\t": "\\t", "\r": "\\r"}.get(character) or character.encode(
         "unicode_escape", "backslashreplace"

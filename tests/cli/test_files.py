@@ -119,6 +119,13 @@ COMPLETIONS = {
     "edgectl logs map": ["map-merge"],
     "edgectl plan --without robot": ["robot1", "robot2", "robot3"],
     "edgectl apply --dry": ["--dry-run"],
+    "edgectl plan --weights c": ["cpu"],
+    "edgectl plan -l kind=service,robot=robot": [
+        "kind=service,robot=robot1",
+        "kind=service,robot=robot2",
+        "kind=service,robot=robot3",
+    ],
+    "edgectl rollback ": [],
 }
 
 

@@ -1,7 +1,10 @@
 """What an operator does by hand, on three real SSH servers: exec, ssh, move, unpin and start."""
 
+import json
 import os
+import re
 import shlex
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -11,7 +14,7 @@ import pytest
 
 from tests.cli.terminal import Terminal
 from tests.compiled_agent import give_agent_and_keys
-from tests.forkserver import EDGECTL, run_edgectl
+from tests.forkserver import EDGECTL, ForkedProcess, run_edgectl
 from tests.pace import patience
 from tests.sshd import Lab, running_lab
 
@@ -34,8 +37,8 @@ tasks:
     stop: {grace: 1s}
     up: 50ms
     demand: {cpu: 0, memory: 0}
-  slam: {command: sleep 1000, stop: {grace: 1s}, up: 50ms, demand: {cpu: 0, memory: 0}}
-  vision: {command: sleep 1000, hosts: {labels: {gpu: "yes"}}, stop: {grace: 1s}, up: 50ms, demand: {cpu: 0, memory: 0}}
+  slam: {command: "echo slam up; exec sleep 1000", stop: {grace: 1s}, up: 50ms, demand: {cpu: 0, memory: 0}}
+  vision: {command: "printf 'vision up\\nhalf a line'; exec sleep 1000", hosts: {labels: {gpu: "yes"}}, stop: {grace: 1s}, up: 50ms, demand: {cpu: 0, memory: 0}}
 """
 
 
@@ -145,10 +148,14 @@ def test_ssh_refuses_a_host_whose_key_is_not_known(desk: Desk) -> None:
     )
     try:
         done = desk.run("ssh", "edge3", "--", "true")
+        tried = desk.run("trust", "--all", "--dry-run")
+        after = desk.lab.known_hosts.read_text()
     finally:
         desk.lab.known_hosts.write_text(known)
     assert done.returncode == 255
     assert "Host key verification failed" in done.stderr
+    assert (tried.returncode, tried.stderr) == (4, "edge3: would be recorded (dry run)\n")
+    assert desk.lab["edge3"].key not in after
 
 
 def test_a_task_is_moved_by_hand_and_stays_until_it_is_unpinned(desk: Desk) -> None:
@@ -161,7 +168,13 @@ def test_a_task_is_moved_by_hand_and_stays_until_it_is_unpinned(desk: Desk) -> N
     assert desk.where("slam") == here
     assert f"slam is pinned to {there} until " in desk.run("status").stderr
     assert f"pinned to {there}" in desk.call("plan")
+    differs = desk.run("diff")
+    assert (differs.returncode, differs.stdout.splitlines()[3:]) == (
+        1,
+        [f"-slam on {here}", f"+slam on {there}"],
+    )
     desk.call("apply", "--yes")
+    assert desk.call("diff") == ""
     assert desk.where("slam") == there
     assert f"edgectl move pinned it to {there}" in desk.call("explain", "slam").replace("\n", " ")
     assert f"{there} until " in desk.call("describe", "task", "slam")
@@ -184,3 +197,91 @@ def test_start_undoes_stop_and_a_dry_run_does_nothing(desk: Desk) -> None:
     assert desk.where("vision") == "-"
     desk.call("start", "vision", "--yes")
     assert desk.where("vision") == "edge3"
+
+
+def test_logs_of_several_tasks_say_whose_each_line_is(desk: Desk) -> None:
+    """The log of nav is empty, which costs nothing; that of a task that nobody knows costs that task alone."""
+    assert desk.call("logs", "slam") == "slam up\n"
+    said = desk.call("logs", "-l", "kind=service,task!=nav", "-n", "1")
+    assert said == "[task/slam] slam up\n[task/vision] half a line\n"
+    assert desk.call("logs", "--prefix", "-n", "1", "vision") == "[task/vision] half a line\n"
+    partly = desk.run("logs", "slam", "slan")
+    assert (partly.returncode, partly.stdout) == (4, "[task/slam] slam up\n")
+    assert partly.stderr == "task/slan: unknown task 'slan'\n"
+    for words, hint in (
+        (["-f", "slam", "nav"], "edgectl logs -f slam"),
+        ([], "list tasks: edgectl get tasks"),
+    ):
+        refused = desk.run("logs", *words)
+        assert (refused.returncode, refused.stderr.splitlines()[-1]) == (64, f"hint: {hint}")
+
+
+def test_status_again_and_again(desk: Desk) -> None:
+    process = ForkedProcess(
+        ["status", "-w", "--every", "200ms", "-o", "json"],
+        cwd=desk.folder,
+        env=desk.env,
+        stdout=subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    with process.stdout as lines:
+        rows = [json.loads(lines.readline()) for _ in range(6)]
+        process.send_signal(signal.SIGINT)
+        assert process.wait(patience(60)) == 0
+    assert [row["task"] for row in rows] == ["nav", "slam", "vision"] * 2
+
+
+def test_a_dry_run_of_profilers_starts_none(desk: Desk) -> None:
+    said = desk.run("profilers", "start", "edge/edge1", "edge3", "--dry-run")
+    assert said.stderr.splitlines() == [
+        f"{host}: profiler would start (dry run)" for host in ("edge1", "edge3")
+    ]
+    states = json.loads(desk.call("profilers", "status", "-o", "json"))["items"]
+    assert {each["state"] for each in states} == {"not-running"}
+    assert desk.run("profilers", "stop", "--dry-run").stderr == ""
+
+
+def test_a_plan_is_printed_when_it_differs(desk: Desk) -> None:
+    """Two plans: the present one, and the one in which slam has been pinned elsewhere."""
+    here = desk.where("slam")
+    there = next(host for host in HOSTS if host != here)
+    process = ForkedProcess(
+        ["plan", "-w", "--every", "200ms", "--target", "slam", "-o", "jsonl"],
+        cwd=desk.folder, env=desk.env, stdout=subprocess.PIPE,
+    )  # fmt: skip
+    assert process.stdout is not None
+    try:
+        with process.stdout as lines:
+            first = [json.loads(lines.readline()) for _ in range(3)]
+            desk.call("move", "slam", there)
+            second = [json.loads(lines.readline()) for _ in range(3)]
+            process.send_signal(signal.SIGINT)
+            assert process.wait(patience(60)) == 0
+    finally:
+        desk.call("unpin", "slam")
+    places = [{row["task"]: (row["action"], row["host"]) for row in rows}["slam"] for rows in (first, second)]
+    assert places == [("keep", here), ("move", there)]
+    assert desk.run("plan", "-w", "--out", "next.plan").returncode == 64
+
+
+def test_what_is_sent_can_be_watched(desk: Desk) -> None:
+    """Logins and requests with their durations on stderr, failures too, and never a command or an environment."""
+    said = desk.run("-v", "get", "hosts", "--no-headers")
+    lines = said.stderr.splitlines()
+    for host in HOSTS:
+        assert any(re.fullmatch(rf"{host}: login [0-9.]+s ok", line) for line in lines), lines
+        assert any(re.fullmatch(rf"{host}: probe [0-9.]+s ok", line) for line in lines), lines
+    desk.lab["edge2"].stop()
+    try:
+        failed = desk.run("restart", "slam", "--yes", "--log-format", "json", "-vv")
+    finally:
+        desk.lab["edge2"].restart()
+    events = [json.loads(line) for line in failed.stderr.splitlines() if line.startswith("{")]
+    assert {"host": "edge2", "operation": "login", "error": "connection refused"} in [
+        {key: value for key, value in event.items() if key in ("host", "operation", "error")}
+        for event in events
+    ]
+    assert any(event.get("operation") == "start" and event["task"] == "slam" for event in events)
+    assert any("Authentication" in event.get("ssh", "") for event in events)
+    assert "slam up" not in failed.stderr
+    assert desk.run("get", "hosts").stderr == ""

@@ -10,6 +10,7 @@ import pytest
 
 import edgectl.experiments.views
 import edgectl.views
+from edgectl.config.key_reference import find_reference
 from edgectl.experiments.views.experiment import ExperimentView
 from edgectl.experiments.views.map_score import MapScoreView
 from edgectl.experiments.views.replay import ReplayView
@@ -22,6 +23,7 @@ from edgectl.rules.awaited_state import AwaitedState, TaskProgress
 from edgectl.views.byte_counters import ByteCountersView
 from edgectl.views.config import ContextRow, ContextsView, Setting, SettingsView
 from edgectl.views.diagnosis import DiagnosisView
+from edgectl.views.diff import DiffView
 from edgectl.views.dry_run import RequestsView
 from edgectl.views.events import EventsView
 from edgectl.views.explanation import ExplanationView
@@ -29,11 +31,12 @@ from edgectl.views.glossary import KeyEntry, KeyType, list_keys
 from edgectl.views.history import HistoryView, RevisionView
 from edgectl.views.hook_trials import HookTrialsView
 from edgectl.views.host_keys import HostKeysView
-from edgectl.views.listing import ListingChangesView
+from edgectl.views.listing import AllListingsView, ListingChangesView
 from edgectl.views.listing_items import ListingKind, compare_listings
 from edgectl.views.output import EnvelopeView, ItemView, ListView, View
 from edgectl.views.profile import ProfileView
 from edgectl.views.profilers import ProfilersView
+from edgectl.views.reference import ReferenceView
 from edgectl.views.results import DrainView
 from edgectl.views.status import StatusView
 from edgectl.views.wait import WaitView
@@ -55,7 +58,7 @@ from tests.views import (
     test_standbys,
     test_top,
 )
-from tests.views.fixtures import ROOT
+from tests.views.fixtures import ROOT, plan
 from tests.views.outputs_page import render_outputs_page
 
 GLOSSARY = {entry.key: entry for entry in list_keys()}
@@ -64,6 +67,11 @@ REQUEST = {"host": "edge1", "phase": "start", "task": "slam", "command": "python
 
 def list_views() -> Iterator[View]:
     yield from (view for what, view in test_forms.views().items() if what not in ("plan", "snapshot"))
+    yield DiffView(plan())
+    yield ReferenceView(find_reference("task.demand"))
+    yield AllListingsView(
+        [test_listing.listed(kind) for kind in (ListingKind.HOSTS, ListingKind.TASKS, ListingKind.LINKS)]
+    )
     yield from map(test_describe.host_view, ("edge1", "edge2", "robot1"))
     yield from (test_describe.task_view(), test_describe.task_view("idle"))
     yield from (test_top.hosts_view(), test_top.tasks_view(test_top.saying()))
