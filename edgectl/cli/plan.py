@@ -48,7 +48,7 @@ def plan_command(
             recorded=not is_what_if(fleet, how),
         )
     )
-    view = PlanView(result)
+    view = PlanView(result, fleet=fleet.inventory.fleet, now=None if snapshot else fleet.clock())
     if out is not None:
         save_file(out, render_view(view, OutputFormat.JSON))
         console.print_message(f"saved {out}; apply it with: edgectl apply {out}")

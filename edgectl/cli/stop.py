@@ -48,7 +48,9 @@ def stop_command(
         raise UsageError("name tasks, or pass --all", hint="list running tasks: edgectl status")
     apply_session.check_can_confirm(asked=not yes)
     fleet = build_fleet(load_inputs(inventory, tasks))
-    with apply_session.open_apply_session(quiet=False, output=output, asked=not yes) as act:
+    with apply_session.open_apply_session(
+        quiet=False, output=output, asked=not yes, fleet=fleet.inventory.fleet
+    ) as act:
         chosen = act.options(
             lock_timeout=parse_lock_timeout(lock_timeout),
             max_parallel=max_parallel,
@@ -84,7 +86,9 @@ def restart_command(
 
     apply_session.check_can_confirm(asked=not yes)
     fleet = build_fleet(load_inputs(inventory, tasks))
-    with apply_session.open_apply_session(quiet=False, output=output, asked=not yes) as act:
+    with apply_session.open_apply_session(
+        quiet=False, output=output, asked=not yes, fleet=fleet.inventory.fleet
+    ) as act:
         applied = restart_task(
             fleet,
             task,
