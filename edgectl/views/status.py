@@ -138,7 +138,7 @@ class StatusView(ListView):
         return list_node_names(task) if task is not None else ()
 
     def _render(self, rows: list[Row], look: RenderOptions, *, right: set[int]) -> str:
-        first = self._list_problems()
+        first = self.list_problems()
         head_lines = [style_text(wrap_text(escape_unprintable(line), look), "bad", look) for line in first]
         table = render_columns(rows, look, right=right, wrap={2})
         measured = render_latency_rows(self._list_alive_runs())
@@ -158,7 +158,7 @@ class StatusView(ListView):
         ]
         return render_header(parts, look)
 
-    def _list_problems(self) -> list[str]:
+    def list_problems(self) -> list[str]:
         """What is wrong now, the worst first."""
         failed = [
             f"{name} on {host}{', given up' if sample.given_up else ''}"
@@ -186,7 +186,7 @@ class StatusView(ListView):
 
     def notes(self) -> Sequence[str]:
         """The warnings that are not above the table, and remarks that stand in the rows of documents."""
-        above = set(self._list_problems()) if self._list_named_rows() else set()
+        above = set(self.list_problems()) if self._list_named_rows() else set()
         none = [] if self._tasks.tasks or list_task_runs(self._snapshot) else ["no task"]
         warnings = [line for line in self.warnings() if line not in above]
         return [*none, *warnings, *list_task_remarks(self._snapshot), *self._list_need_notes()]
