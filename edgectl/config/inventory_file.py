@@ -41,6 +41,7 @@ from edgectl.config.schema import (
     build_mapping_schema,
     build_object_schema,
     describe_as,
+    get_reader_schema,
 )
 from edgectl.model.inventory import BaseLoad, Capacity, Connection, Host, Limits, Role, Runtime
 from edgectl.model.resource import HOST_RESOURCES, MEASURED_HOST_RESOURCES
@@ -113,6 +114,7 @@ def _read_address(node: Node, problems: Problems) -> Any:  # noqa: ANN401
 
 DEFAULTS_KEYS: Mapping[str, NodeReader] = {
     "connection": enum_reader(Connection),
+    "transport": read_name,
     "port": integer_reader(1, 65535),
     "user": address_reader(),
     "identity_file": read_text,
@@ -145,6 +147,7 @@ INVENTORY_KEYS: Mapping[str, NodeReader] = {
     "fleet": read_name,
     "probe_links": read_bool,
     "coordination": read_coordination,
+    "on_event": keep_node,
     "defaults": keep_node,
     "edges": keep_node,
     "robots": keep_node,
@@ -154,9 +157,12 @@ INVENTORY_KEYS: Mapping[str, NodeReader] = {
 
 def build_inventory_schema() -> Schema:
     """JSON Schema of an inventory file."""
+    from edgectl.config.event_hooks import read_event_hooks
+
     schema = build_object_schema(
         INVENTORY_KEYS,
         ("version",),
+        on_event=get_reader_schema(read_event_hooks),
         defaults=build_object_schema(DEFAULTS_KEYS),
         edges=build_mapping_schema(NAME_PATTERN.pattern, build_object_schema(EDGE_KEYS)),
         robots=build_mapping_schema(NAME_PATTERN.pattern, build_object_schema(ROBOT_KEYS)),

@@ -3,9 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from edgectl.config.fields import Fields, read_fields
+from edgectl.config.fields import Fields, merge_keys, read_fields
 from edgectl.config.fleet_name import derive_fleet_name
 from edgectl.config.inventory_file import (
     INVENTORY_KEYS,
@@ -18,7 +17,9 @@ from edgectl.config.node import Node
 from edgectl.config.problems import Mark, ProblemCode, Problems
 from edgectl.config.ros_rules import check_host_addresses
 from edgectl.config.ros_settings import resolve_master
+from edgectl.config.scalars import INVALID
 from edgectl.formats.digest import digest_inventory
+from edgectl.model.event import EventHook
 from edgectl.model.inventory import Host, Inventory, Role
 from edgectl.names import natural_key
 
@@ -58,7 +59,7 @@ def read_inventories(nodes: Sequence[Node], problems: Problems) -> Inventory:
     for top in files:
         if "links" in top:
             read_link_entries(top.at("links"), ordered, links, problems)
-    stated = _merge_fleet_keys(files, problems)
+    stated = merge_keys(files, _FLEET_KEYS, problems)
     fleet = stated.get("fleet") or derive_fleet_name(Path(nodes[0].mark.source.file))
     _check_fleet_name(files, fleet, problems)
     inventory = Inventory(
@@ -68,6 +69,7 @@ def read_inventories(nodes: Sequence[Node], problems: Problems) -> Inventory:
         is_fleet_named="fleet" in stated,
         probe_links=stated.get("probe_links", True),
         coordination=stated.get("coordination"),
+        on_event=_read_on_event(files, problems),
     )
     # The digest is of the files alone: no path and no home of a user may change it.
     return replace(
@@ -93,25 +95,16 @@ def _read_hosts(files: Sequence[Fields], problems: Problems) -> tuple[dict[str, 
     return hosts, places
 
 
-def _merge_fleet_keys(files: Sequence[Fields], problems: Problems) -> dict[str, Any]:
-    """What the files say of the whole fleet; two different statements are a mistake."""
-    stated: dict[str, Any] = {}
-    first: dict[str, Mark] = {}
-    for top in files:
-        for key in _FLEET_KEYS:
-            if key not in top.values:
-                continue
-            if key in stated and stated[key] != top.values[key]:
-                problems.add(
-                    top.node.key_mark(key),
-                    ProblemCode.TAKEN,
-                    f"{key} is stated differently in {first[key].source.file}, line {first[key].line}",
-                    f"keep {key} in one file, or write the same in both",
-                )
-                continue
-            stated.setdefault(key, top.values[key])
-            first.setdefault(key, top.node.key_mark(key))
-    return stated
+def _read_on_event(files: Sequence[Fields], problems: Problems) -> tuple[EventHook, ...]:
+    """The programs of all files. Those of several files stand in an order that is not that of the files."""
+    nodes = [top.at("on_event") for top in files if "on_event" in top]
+    if not nodes:
+        return ()
+    from edgectl.config.event_hooks import read_event_hooks
+
+    read = [read_event_hooks(node, problems) for node in nodes]
+    hooks = tuple(hook for each in read if each is not INVALID for hook in each)
+    return hooks if len(nodes) == 1 else tuple(sorted(hooks, key=repr))
 
 
 def _check_fleet_name(files: Sequence[Fields], fleet: str, problems: Problems) -> None:

@@ -3,12 +3,21 @@
 from collections import Counter
 from collections.abc import Callable, Iterable
 
-from edgectl.model.assignment import Decision, RankedHost, Reason, Rejection, RejectionRule, Verdict
+from edgectl.model.assignment import (
+    Decision,
+    OperatorPin,
+    RankedHost,
+    Reason,
+    Rejection,
+    RejectionRule,
+    Verdict,
+)
+from edgectl.model.manager_state import Pin
 from edgectl.model.plan import Action, Step
 from edgectl.model.resource import Resource
 from edgectl.rules.lost_places import describe_lost_place, get_lost_place
 from edgectl.rules.other_managers import describe_unlisted_host
-from edgectl.units import format_duration
+from edgectl.units import format_duration, format_instant
 
 # Utilities that differ by less are equal (ADR 8).
 _EQUAL = 1e-9
@@ -31,6 +40,7 @@ _RULE_TEXTS = {
     RejectionRule.TOGETHER: "without room for all that go together",
     RejectionRule.SPREAD: "with their part of the spread",
     RejectionRule.DEADLINE_MISSED: "misses the deadline",
+    RejectionRule.NOT_LISTED: "not in the inventory",
 }
 LEFT_OUT_TEXT = "left out by --target or -l"
 _FIXED_REASON_TEXTS = {
@@ -41,11 +51,16 @@ _FIXED_REASON_TEXTS = {
     Reason.OPTIMAL: "so in the best plan found (--optimal)",
     Reason.ROOM_MADE: "fits since other tasks made room",
     Reason.PINNED: "pinned",
+    Reason.LEAST_LOADED: "the least loaded host",
+    Reason.FULLEST: "the fullest host that fits",
+    Reason.IN_TURN: "the next host in turn",
+    Reason.DRAWN: "drawn at random from the hosts that fit",
     Reason.FIRST_PLACEMENT: "first placement (policy static)",
     Reason.ONBOARD_LOCAL: "on its robot (policy local)",
     Reason.STILL_BEST: "still the best host",
     Reason.UNSETTLED: "no settled plan exists, so it stays",
     Reason.NEVER_MOVED: "placed once, never moved (policy static)",
+    Reason.STILL_FITS: "still fits",
     Reason.DONE: "completed",
     Reason.OPERATOR: "requested",
     Reason.LEFT_FILE: "no longer in its task file",
@@ -58,6 +73,7 @@ def describe_reason(step: Step) -> str:
     """The reason of a step, in one line that begins with the action."""
     return (
         f"{step.action}: {LEFT_OUT_TEXT if is_left_out(step) else _describe_cause(step)}"
+        + _describe_pin_beside(step)
         + _describe_extra_stops(step)
     )
 
@@ -96,7 +112,7 @@ def _describe_cause(step: Step) -> str:
 
 def is_pinned(decision: Decision) -> bool:
     """Whether the task file allows this host alone."""
-    if decision.lead is not None:
+    if decision.lead is not None or decision.pin is not None:
         return False  # another host may have it, so the ranking need not be made (ADR 75)
     ruled_out = (entry.rule for ranked in decision.ranking for entry in ranked.rejections)
     return RejectionRule.PIN in decision.rejection_counts or RejectionRule.PIN in ruled_out
@@ -114,6 +130,31 @@ def list_equal_hosts(decision: Decision) -> list[str]:
         and ranked.total is not None
         and abs(ranked.total - decision.total) <= _EQUAL
     ]
+
+
+def describe_pin(pin: OperatorPin | Pin) -> str:
+    """``pinned to edge2 until 2026-11-23T14:05:00Z``."""
+    return f"pinned to {pin.host}" + ("" if pin.until is None else f" until {format_instant(pin.until)}")
+
+
+def describe_obstacle(rule: RejectionRule) -> str:
+    """What keeps a task off a host that it is pinned to."""
+    return "too small for it" if rule is RejectionRule.INSUFFICIENT else _RULE_TEXTS[rule]
+
+
+def _describe_pin_beside(step: Step) -> str:
+    """The pin of an operator where it is not the reason of the place."""
+    pin = step.decision.pin
+    if pin is None or step.decision.reason is Reason.PINNED_BY_OPERATOR:
+        return ""
+    if pin.set_aside is None:
+        return f"; {describe_pin(pin)} (edgectl unpin {step.task})"
+    return f"; its pin does not count: {pin.host} is {describe_obstacle(pin.set_aside)}"
+
+
+def _describe_operator_pin(step: Step) -> str:
+    pin = step.decision.pin
+    return f"{describe_pin(pin)} by edgectl move" if pin is not None else "pinned by edgectl move"
 
 
 def _describe_extra_stops(step: Step) -> str:
@@ -244,6 +285,7 @@ def _describe_duplicate(step: Step) -> str:
 
 _REASON_DESCRIBERS: dict[Reason, Callable[[Step], str]] = {
     Reason.WITH_PREDECESSOR: _describe_with_predecessor,
+    Reason.PINNED_BY_OPERATOR: _describe_operator_pin,
     Reason.GAIN: _describe_gain,
     Reason.FORCED_INFEASIBLE: _describe_infeasible,
     Reason.RELIEF: lambda step: (
