@@ -48,7 +48,9 @@ def apply_command(
     policy_options.require_solver(how if saved is None else saved.policy)
     if change.dry_run:
         raise Exit(apply_session.print_dry_run(fleet, how, saved, choose, output))
-    with apply_session.open_apply_session(quiet=change.quiet, output=output, asked=asked) as act:
+    with apply_session.open_apply_session(
+        quiet=change.quiet, output=output, asked=asked, fleet=fleet.inventory.fleet
+    ) as act:
         chosen = act.options_from(change, choose)
         if change.quiet and not how.attended:
             chosen = dataclasses.replace(chosen, recheck_window=RECHECK_WINDOW_S)

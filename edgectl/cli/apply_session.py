@@ -3,6 +3,7 @@
 import contextlib
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 
 from edgectl.cli import console
@@ -49,8 +50,9 @@ class ApplySession:
         asked: bool,
         dry_run: bool,
         within: contextlib.ExitStack,
+        fleet: str = "",
     ) -> None:
-        self._dry_run = dry_run
+        self._dry_run, self._fleet = dry_run, fleet
         self._quiet, self._output, self._asked, self._within = quiet, output, asked, within
         self._listener: ProgressListener = ignore_progress
         self.stop_requested = threading.Event()
@@ -92,10 +94,12 @@ class ApplySession:
     def confirm(self, plan: Plan) -> bool:
         """Show the plan; if asked, only the answer ``yes`` confirms."""
         if self._output in _HUMAN_FORMATS and (self._asked or not self._quiet):
-            _print_plan(plan, self._output)
+            self._print_plan(plan)
         count = sum(step.action.changes for step in plan.steps)
+        to_fleet = f" to fleet {self._fleet}" if self._fleet else ""
         agreed = not self._asked or ask_confirmation(
-            f'\nApply {"this action" if count == 1 else f"these {count} actions"}? Only "yes" is accepted: '
+            f"\nApply {'this action' if count == 1 else f'these {count} actions'}{to_fleet}? "
+            'Only "yes" is accepted: '
         )
         if agreed:
             self._listener = self._within.enter_context(show_apply_progress(count, quiet=self._quiet))
@@ -115,19 +119,18 @@ class ApplySession:
         if applied.declined:
             console.print_message("nothing was done")
         elif applied.results is not None:
-            console.print_view(ResultsView(applied.results), self._output)
+            console.print_view(ResultsView(applied.results, fleet=self._fleet), self._output)
         elif not self._quiet and self._output in _HUMAN_FORMATS:
-            _print_plan(applied.plan, self._output)
+            self._print_plan(applied.plan)
         elif not self._quiet:
             console.print_view(ResultsView(None), self._output)
         if self._quiet:
             _explain_exit_code(applied.plan, code)
 
+    def _print_plan(self, plan: Plan) -> None:
+        from edgectl.views.plan import PlanView
 
-def _print_plan(plan: Plan, output: OutputFormat) -> None:
-    from edgectl.views.plan import PlanView
-
-    console.print_view(PlanView(plan), output)
+        console.print_view(PlanView(plan, fleet=self._fleet, now=time.time()), self._output)
 
 
 def _explain_exit_code(plan: Plan, code: ExitCode) -> None:
@@ -152,15 +155,18 @@ def ask_confirmation(question: str, answer: str = "yes") -> bool:
 
 @contextlib.contextmanager
 def open_apply_session(
-    *, quiet: bool, output: OutputFormat, asked: bool, dry_run: bool = False
+    *, quiet: bool, output: OutputFormat, asked: bool, dry_run: bool = False, fleet: str = ""
 ) -> Iterator[ApplySession]:
-    """A session: the first Ctrl-C (or SIGTERM) lets running actions finish, the second stops at once.
+    """A session that changes ``fleet``: the first Ctrl-C (or SIGTERM) lets running actions finish, the second
+    stops at once.
 
     ``dry_run``: only plan; ``print_requests`` then shows what would be sent.
     """
     check_output_format(output, NAMED_FORMATS)
     with contextlib.ExitStack() as within:
-        act = ApplySession(quiet=quiet, output=output, asked=asked, dry_run=dry_run, within=within)
+        act = ApplySession(
+            quiet=quiet, output=output, asked=asked, dry_run=dry_run, within=within, fleet=fleet
+        )
         within.enter_context(request_stop_on_signal(act.stop_requested))
         yield act
 

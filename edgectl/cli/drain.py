@@ -38,7 +38,9 @@ def drain_command(
     asked = apply_session.check_can_confirm(asked=not (yes or dry_run))
     loaded = load_inputs(inventory, tasks)
     fleet = build_fleet(loaded)
-    with apply_session.open_apply_session(quiet=False, output=output, asked=asked, dry_run=dry_run) as act:
+    with apply_session.open_apply_session(
+        quiet=False, output=output, asked=asked, dry_run=dry_run, fleet=fleet.inventory.fleet
+    ) as act:
         chosen = act.options(
             lock_timeout=parse_lock_timeout(lock_timeout),
             max_parallel=max_parallel,
@@ -56,7 +58,9 @@ def drain_command(
         raise Exit(apply_session.print_requests(fleet, drained.applied.plan, output))
     passes = [each.results for each in drained.passes if each.results is not None]
     if passes:
-        console.print_view(DrainView(passes, drained.left, done=drained.done), output)
+        console.print_view(
+            DrainView(passes, drained.left, done=drained.done, fleet=fleet.inventory.fleet), output
+        )
     else:
         act.report(drained.applied)
     for task, host in drained.left:

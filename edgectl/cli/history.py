@@ -112,7 +112,9 @@ def rollback_command(
                 fleet, policy, plan_rollback(fleet, policy, revision, ApplyOptions()), keep_whole_plan, output
             )
         )
-    with apply_session.open_apply_session(quiet=change.quiet, output=output, asked=asked) as act:
+    with apply_session.open_apply_session(
+        quiet=change.quiet, output=output, asked=asked, fleet=fleet.inventory.fleet
+    ) as act:
         applied = roll_back_fleet(fleet, policy, revision, act.confirm, act.options_from(change))
     code = exit_codes.of_applied(applied, allow_unreachable=allow_unreachable)
     act.report(applied, code)

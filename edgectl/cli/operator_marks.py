@@ -88,7 +88,9 @@ def fence_command(
         return _report_hosts([host], fleet.inventory, "fenced", dry_run=True)
     apply_session.check_can_confirm(asked=not yes)
     if not yes and not apply_session.ask_confirmation(
-        f"If {host} is still on, its tasks will run twice. Type its name if it is powered off: ", host
+        f"If {host} of fleet {fleet.inventory.fleet} is still on, its tasks will run twice. "
+        "Type its name if it is powered off: ",
+        host,
     ):
         raise Exit(ExitCode.FAILED)
     operator_marks.fence_hosts(fleet, [host])

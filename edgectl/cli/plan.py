@@ -66,13 +66,19 @@ def plan_command(
             recorded=not is_what_if(fleet, how),
         )
     )
+    carried = None
     stateful = any(task.state is not None for task in loaded.tasks.tasks.values())
     if output is OutputFormat.WIDE and stateful and not snapshot:
         from edgectl.usecases.history import find_last_carries
 
-        view = PlanView(result, loaded.tasks, find_last_carries(fleet))
-    else:
-        view = PlanView(result, loaded.tasks)
+        carried = find_last_carries(fleet)
+    view = PlanView(
+        result,
+        loaded.tasks,
+        carried,
+        fleet=fleet.inventory.fleet,
+        now=None if snapshot else fleet.clock(),
+    )
     if out is not None:
         save_file(out, render_view(view, OutputFormat.JSON))
         console.print_message(f"saved {out}; apply it with: edgectl apply {out}")

@@ -48,7 +48,7 @@ def _load_inputs_quietly(inventory: Sequence[Path] | None, tasks: Sequence[Path]
     chosen = choose_files(inventory, tasks)
     fleet, work, warnings = load_inventory_and_tasks(chosen.inventories, list_task_paths(chosen))
     exposed = select_exposed(warnings)
-    return LoadedInputs(inventory=fleet, tasks=work, path=chosen.inventories[0], exposed=exposed)
+    return LoadedInputs(inventory=fleet, tasks=work, inventories=chosen.inventories, exposed=exposed)
 
 
 def _fingerprint_files(

@@ -53,7 +53,9 @@ def stop_command(
     asked = apply_session.check_can_confirm(asked=not (yes or dry_run))
     fleet = build_fleet(load_inputs(inventory, tasks))
     names = expand_task_names(names or (), fleet.tasks)
-    with apply_session.open_apply_session(quiet=False, output=output, asked=asked, dry_run=dry_run) as act:
+    with apply_session.open_apply_session(
+        quiet=False, output=output, asked=asked, dry_run=dry_run, fleet=fleet.inventory.fleet
+    ) as act:
         chosen = act.options(
             lock_timeout=parse_lock_timeout(lock_timeout),
             max_parallel=max_parallel,
@@ -134,7 +136,9 @@ def restart_command(
     asked = apply_session.check_can_confirm(asked=not (yes or dry_run))
     fleet = build_fleet(load_inputs(inventory, tasks))
     task = resolve_task_name(task, fleet.tasks)
-    with apply_session.open_apply_session(quiet=False, output=output, asked=asked, dry_run=dry_run) as act:
+    with apply_session.open_apply_session(
+        quiet=False, output=output, asked=asked, dry_run=dry_run, fleet=fleet.inventory.fleet
+    ) as act:
         applied = restart_task(
             fleet,
             task,

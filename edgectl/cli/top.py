@@ -3,6 +3,7 @@
 import dataclasses
 import os
 import signal
+import subprocess
 import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -157,4 +158,16 @@ def _run_live_view(loaded: LoadedInputs, every: float, *, readonly: bool, first:
         raise UsageError("stdout is not a terminal", hint="for programs: edgectl top hosts -w -o json")
     with require_extra("tui"):
         from edgectl.tui import run_top_view
-    run_top_view(build_fleet(loaded, asking=False), every=every, readonly=readonly, first=first)
+    run_top_view(
+        build_fleet(loaded, asking=False),
+        every=every,
+        readonly=readonly,
+        first=first,
+        open_shell=lambda host: _open_shell(loaded, host),
+    )
+
+
+def _open_shell(loaded: LoadedInputs, host: str) -> int:
+    """Run ``edgectl ssh HOST`` on the same inventories, with the terminal; its exit code."""
+    files = [word for path in loaded.inventories for word in ("-i", str(path))]
+    return subprocess.run([sys.executable, "-m", "edgectl", "ssh", host, *files], check=False).returncode

@@ -34,15 +34,20 @@ _MAX_LINKS = 40
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoadedInputs:
-    """Inventory and tasks as read, and the path of the inventory, or of the first of several.
+    """Inventory and tasks as read, and the paths of the inventories.
 
     ``exposed``: warnings about the files that others may write.
     """
 
     inventory: Inventory
     tasks: Tasks
-    path: Path
+    inventories: tuple[Path, ...]
     exposed: tuple[Problem, ...] = ()
+
+    @property
+    def path(self) -> Path:
+        """The path of the inventory, or of the first of several."""
+        return self.inventories[0]
 
 
 def load_inputs(
@@ -76,7 +81,7 @@ def load_inputs(
     )
     print_input_warnings(warning for warning in warnings if not quiet and warning.code not in elsewhere)
     return LoadedInputs(
-        inventory=fleet, tasks=work, path=chosen.inventories[0], exposed=select_exposed(warnings)
+        inventory=fleet, tasks=work, inventories=chosen.inventories, exposed=select_exposed(warnings)
     )
 
 

@@ -3,11 +3,11 @@
 import random
 from functools import partial
 
+from edgectl.experiments.event_draws import build_uniform_draw
 from edgectl.experiments.model.scenario import SimRun
 from edgectl.experiments.model.sweep import SchemeRuns, SweepWorld, WorldResult
 from edgectl.experiments.sequential_test import find_certain_winner
 from edgectl.experiments.simulator import simulate_mission
-from edgectl.experiments.simulator_runs import build_uniform_draw
 
 
 def simulate_world(world: SweepWorld) -> WorldResult:

@@ -1,14 +1,15 @@
-"""Live view: two tables, keys, and one thread that probes the fleet periodically."""
+"""Live view: tables of hosts, tasks and links, keys, and one thread that probes the fleet periodically."""
 
 import asyncio
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 from rich.text import Text
-from textual.app import App, ComposeResult
+from textual.app import App, ComposeResult, SuspendNotSupported
 from textual.binding import Binding, BindingType
 from textual.coordinate import Coordinate
 from textual.events import Resize
@@ -19,6 +20,8 @@ from edgectl.errors import EdgectlError
 from edgectl.tui import rows
 from edgectl.tui.rows import Frame, TopRow
 from edgectl.tui.screens import ConfirmScreen, TextScreen
+from edgectl.tui.tree import render_task_tree
+from edgectl.units import format_duration
 from edgectl.views.text import escape_unprintable
 
 _TEXTUAL_STYLES = {
@@ -29,19 +32,24 @@ _TEXTUAL_STYLES = {
     "bold": "bold",
     "name": "cyan",
 }
+# Head, health, note and keys.
+_FRAME_LINES = 4
 _HELP = """\
-tab      the other table
-arrows   another line
+tab      next table        arrows   another line
 /        only lines with a text; Enter keeps it, Esc clears it
-s        sort by the next column
+o        order by the next column
 d        describe the line
 l        log of the task, its last lines
+e        explain why the task is where it is
+t        tree of tasks and what they need
+r        restart the task; asks first
+x        drain the host of the line; asks first
 c        cordon or uncordon the host of the line; asks first
+s        shell on the host of the line
 q        quit
 
-Everything is measured again every few seconds. Sparklines show
-the newest samples of the history, the newest at the right: of a
-host up to its capacity, of a task up to its demand or its own
+Sparklines show the newest samples, the newest at the right: of
+a host up to its capacity, of a task up to its demand or its own
 highest.
 """
 
@@ -51,12 +59,18 @@ class FleetBackend:
     """Operations of the view; each is called in a thread of its own.
 
     ``frames`` yields a frame after each probe until the function that it is given, which waits in between,
-    returns true. ``cordon`` cordons a host or uncordons it; None: nothing may be changed.
+    returns true. ``cordon`` cordons a host or uncordons it; ``restart`` restarts a task, ``drain`` empties a
+    host, and both say what came of it; None: nothing may be changed. ``open_shell`` opens a shell on a host
+    in the terminal, which the view leaves to it, and gives its exit code.
     """
 
     frames: Callable[[Callable[[], bool]], Iterator[Frame]]
     logs: Callable[[str], str]
+    explain: Callable[[str], str]
     cordon: Callable[[str, bool], None] | None
+    restart: Callable[[str], str] | None
+    drain: Callable[[str], str] | None
+    open_shell: Callable[[str], int] | None
 
 
 class FrameReceived(Message):
@@ -84,40 +98,63 @@ class TextLoaded(Message):
 
 
 class TopApp(App[None]):
-    """Hosts above, tasks below."""
+    """Hosts above, then tasks and links, and the tree of tasks in what is left."""
 
     CSS = """
-    #head { height: 1; color: $text-muted; }
+    #head { height: 1; text-style: bold; text-wrap: nowrap; text-overflow: ellipsis; }
+    #health { height: 1; text-wrap: nowrap; text-overflow: ellipsis; }
     #note { height: auto; max-height: 3; color: $warning; }
     #filter { height: 1; border: none; padding: 0; display: none; }
     #filter.asked { display: block; }
     DataTable { background: $surface; }
-    #hosts { height: auto; max-height: 45%; margin-bottom: 1; }
-    #tasks { height: 1fr; }
+    #hosts { height: auto; max-height: 30%; }
+    #tasks { height: auto; max-height: 45%; }
+    #links { height: auto; max-height: 30%; }
+    #rest { height: 1fr; color: $text-muted; overflow: hidden; }
+    #tasks.full { height: 1fr; max-height: 100%; }
+    #links.full { max-height: 20%; }
+    .empty { display: none; }
     """
     ENABLE_COMMAND_PALETTE = False
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("q", "quit", "Quit"),
         Binding("ctrl+c", "quit", show=False, priority=True),
-        Binding("slash", "filter", "Filter"),
-        Binding("s", "sort", "Sort"),
+        Binding("slash", "filter", show=False),
+        Binding("o", "sort", show=False),
         Binding("d", "describe", "Describe"),
         Binding("l", "logs", "Logs"),
-        Binding("c", "cordon", "Cordon"),
+        Binding("e", "explain", "Why"),
+        Binding("t", "tree", "Tree"),
+        Binding("r", "restart", "Restart"),
+        Binding("x", "drain", "Drain"),
+        Binding("c", "cordon", show=False),
+        Binding("s", "shell", "Shell"),
         Binding("question_mark", "help", "Help"),
         Binding("escape", "clear", show=False),
     ]
 
     def __init__(
-        self, work: FleetBackend, *, every: float, first: str = "hosts", unicode: bool = True
+        self,
+        work: FleetBackend,
+        *,
+        every: float,
+        first: str = "hosts",
+        unicode: bool = True,
+        clock: Callable[[], float] = time.time,
     ) -> None:
         super().__init__()
+        self._clock = clock
+        self._tree: TextScreen | None = None
         self._work, self._every, self._first, self._unicode = work, every, first, unicode
         self._frame: Frame | None = None
         self._width = 80
         self._wanted = ""
-        self._orders = {"hosts": rows.HOST_ORDERS[0], "tasks": rows.TASK_ORDERS[0]}
-        self._lines: dict[str, list[TopRow]] = {"hosts": [], "tasks": []}
+        self._orders = {
+            "hosts": rows.HOST_ORDERS[0],
+            "tasks": rows.TASK_ORDERS[0],
+            "links": rows.LINK_ORDER,
+        }
+        self._lines: dict[str, list[TopRow]] = {"hosts": [], "tasks": [], "links": []}
         self._shapes: dict[str, tuple[list[str], list[int]]] = {}
         self._ended = threading.Event()
         self._again = threading.Event()
@@ -125,10 +162,13 @@ class TopApp(App[None]):
     # -- what is on the screen --
 
     def compose(self) -> ComposeResult:
-        """Summary, two tables, note, filter and keys."""
+        """Summary, health, three tables, tree, note, filter and keys."""
         yield Static("measuring ..", id="head")
+        yield Static(id="health")
         yield DataTable(id="hosts", cursor_type="row")
         yield DataTable(id="tasks", cursor_type="row")
+        yield DataTable(id="links", cursor_type="row")
+        yield Static(id="rest")
         yield Static(id="note")
         yield Input(id="filter", placeholder="only lines with ..", select_on_focus=False)
         yield Footer()
@@ -137,6 +177,7 @@ class TopApp(App[None]):
         """Start the probes."""
         self._install_signal_handlers()
         self._table(self._first).focus()
+        self.set_interval(1.0, self._show_head)
         threading.Thread(target=self._look, daemon=True).start()
 
     def _install_signal_handlers(self) -> None:
@@ -167,7 +208,10 @@ class TopApp(App[None]):
     @property
     def _has_all_widgets(self) -> bool:
         """Whether all widgets exist: not before they are mounted, and not while the view ends."""
-        return len(self.query("#head, #hosts, #tasks, #note")) == 4
+        if not self.screen_stack:
+            return False
+        base = self.screen_stack[0]
+        return len(base.query("#head, #health, #hosts, #tasks, #links, #rest, #note")) == 7
 
     def _draw(self) -> None:
         if self._frame is None or not self._has_all_widgets:
@@ -178,15 +222,61 @@ class TopApp(App[None]):
         self._fill(
             "tasks", rows.TASK_TITLES, rows.build_task_rows(self._frame, self._width, unicode=self._unicode)
         )
-        self._summarise(self._frame)
+        self._fill("links", rows.LINK_TITLES, rows.build_link_rows(self._frame))
+        self._table("links").set_class(not self._lines["links"], "empty")
+        if self._tree is not None and self._tree.query("#text"):
+            self._tree.show(render_task_tree(self._frame, unicode=self._unicode))
+        self._show_rest()
+        self._show_health(self._frame)
+        self._show_head()
 
-    def _summarise(self, frame: Frame) -> None:
+    def _show_rest(self) -> None:
+        """Fill what the tables leave: the tree of tasks, then the selected line in full."""
+        if self._frame is None or not self._has_all_widgets:
+            return
+        full = sum(len(lines) + 1 for lines in self._lines.values()) + _FRAME_LINES > self.size.height
+        for name in ("tasks", "links"):
+            self._table(name).set_class(full, "full")
+        self._base("#rest").set_class(full, "empty")
+        parts = [] if self._wanted else [render_task_tree(self._frame, unicode=self._unicode)]
+        line = self._line(self._focused_table)
+        if line is not None:
+            parts.append(rows.render_row_details(self._frame, line))
+        self._base("#rest").update(Text(escape_lines("\n\n".join(parts))))
+
+    def on_data_table_row_highlighted(self, _event: DataTable.RowHighlighted) -> None:
+        """Show another line in full."""
+        self._show_rest()
+
+    def _base(self, selector: str) -> Static:
+        """A widget of the view itself, whatever screen is above it."""
+        return self.screen_stack[0].query_one(selector, Static)
+
+    def _show_head(self) -> None:
+        """Fleet, clock and age of the sample, every second."""
+        frame = self._frame
+        if frame is None or not self._has_all_widgets:
+            return
+        now = self._clock()
+        age = max(0, round(now - frame.snapshot.taken_at))
         unreachable = f" ({frame.unreachable} unreachable)" if frame.unreachable else ""
-        orders = ", ".join(f"{table} by {order}" for table, order in self._orders.items())
-        shown = f" · only {self._wanted!r}" if self._wanted else ""
-        hosts, tasks = len(frame.snapshot.hosts), len(frame.tasks.tasks)
-        text = f"{hosts} hosts{unreachable} · {tasks} tasks · {orders}{shown}"
-        self.query_one("#head", Static).update(Text(text))
+        orders = [f"{table} by {self._orders[table]}" for table in ("hosts", "tasks")]
+        parts = [
+            f"Fleet {frame.inventory.fleet}",
+            time.strftime("%H:%M:%S", time.localtime(now)),
+            f"sample {f'{age}s' if age < 60 else format_duration(age)} old",
+            *([f"only {self._wanted!r}"] if self._wanted else []),
+            *(order for order in orders if not order.endswith(" name")),
+            f"{len(frame.snapshot.hosts)} hosts{unreachable}, {len(frame.tasks.tasks)} tasks",
+        ]
+        self._base("#head").update(Text(" · ".join(parts)))
+
+    def _show_health(self, frame: Frame) -> None:
+        """Number of problems, and the worst one."""
+        found = rows.list_problems(frame)
+        more = f"{len(found)} problems: " if len(found) > 1 else ""
+        text = escape_unprintable(more + found[0]) if found else "no problem"
+        self._base("#health").update(Text(text, "red" if found else "green"))
 
     def _fill(self, name: str, titles: Sequence[str], lines: list[TopRow]) -> None:
         """Put the lines into a table; build it anew only if rows, their order or the widths changed."""
@@ -225,7 +315,7 @@ class TopApp(App[None]):
         table.move_cursor(row=place, animate=False)
 
     def _table(self, name: str) -> DataTable[Text]:
-        return self.query_one(f"#{name}", DataTable)
+        return self.screen_stack[0].query_one(f"#{name}", DataTable)
 
     def _line(self, name: str) -> TopRow | None:
         """The line under the cursor of a table."""
@@ -235,7 +325,7 @@ class TopApp(App[None]):
     @property
     def _focused_table(self) -> str:
         """The table with the focus."""
-        return "tasks" if self._table("tasks").has_focus else "hosts"
+        return next((name for name in ("tasks", "links") if self._table(name).has_focus), "hosts")
 
     # -- keys --
 
@@ -265,10 +355,9 @@ class TopApp(App[None]):
 
     def action_sort(self) -> None:
         """Sort the table by its next column."""
-        orders = rows.HOST_ORDERS if self._focused_table == "hosts" else rows.TASK_ORDERS
-        self._orders[self._focused_table] = orders[
-            (orders.index(self._orders[self._focused_table]) + 1) % len(orders)
-        ]
+        table = self._focused_table
+        orders = {"hosts": rows.HOST_ORDERS, "tasks": rows.TASK_ORDERS}.get(table, (rows.LINK_ORDER,))
+        self._orders[table] = orders[(orders.index(self._orders[table]) + 1) % len(orders)]
         self._draw()
 
     def action_help(self) -> None:
@@ -285,16 +374,23 @@ class TopApp(App[None]):
 
     def action_logs(self) -> None:
         """Fetch the log of the task."""
-        line = self._line(self._focused_table)
-        if line is None or line.task is None:
-            self.post_message(NoteChanged("a host has no log; choose a task (Tab)"))
+        self._read_about_task("log", self._work.logs, at_end=True)
+
+    def action_explain(self) -> None:
+        """Explain the placement of the task."""
+        self._read_about_task("explanation", self._work.explain)
+
+    def _read_about_task(self, what: str, read: Callable[[str], str], *, at_end: bool = False) -> None:
+        """Fetch a text about the selected task and show it."""
+        task = self._get_selected_task(what)
+        if task is None:
             return
-        reader, task = TextScreen(f"log of {line.task}", "loading ..", at_end=True), line.task
+        reader = TextScreen(f"{what} of {task}", "loading ..", at_end=at_end)
         self.push_screen(reader)
 
         def load() -> None:
             try:
-                text = self._work.logs(task) or "nothing was printed"
+                text = read(task) or "nothing was printed"
             except EdgectlError as error:
                 text = error.message
             self.post_message(TextLoaded(reader, text))
@@ -306,28 +402,87 @@ class TopApp(App[None]):
         if message.reader.is_attached:
             message.reader.show(message.text)
 
+    def action_tree(self) -> None:
+        """Show the tree of tasks in full; it follows the samples."""
+        if self._frame is not None:
+            tree = render_task_tree(self._frame, unicode=self._unicode)
+            self._tree = TextScreen("Tasks below those that they need", tree)
+            self.push_screen(self._tree)
+
     def action_cordon(self) -> None:
         """Cordon or uncordon the selected host, after a question."""
-        line, cordon = self._line(self._focused_table), self._work.cordon
-        if line is None or line.host is None or self._frame is None:
+        host, cordon = self._get_selected_host(), self._work.cordon
+        if host is None or self._frame is None:
             return
-        if cordon is None:
+        manager = self._frame.snapshot.manager
+        close = manager is None or host not in manager.cordons
+
+        def act() -> str:
+            if cordon is not None:
+                cordon(host, close)
+            return f"{host} {'cordoned' if close else 'uncordoned'}"
+
+        self._act_after_yes(f"{'Cordon' if close else 'Uncordon'} {host}", cordon and act)
+
+    def action_drain(self) -> None:
+        """Drain the selected host, after a question."""
+        host, drain = self._get_selected_host(), self._work.drain
+        if host is not None:
+            self._act_after_yes(f"Cordon {host} and move its tasks away", drain and (lambda: drain(host)))
+
+    def action_restart(self) -> None:
+        """Restart the selected task, after a question."""
+        task, restart = self._get_selected_task("restart"), self._work.restart
+        if task is not None:
+            self._act_after_yes(f"Restart {task}", restart and (lambda: restart(task)))
+
+    def _act_after_yes(self, what: str, act: Callable[[], str] | None) -> None:
+        """Ask, with the fleet's name; then act in a thread and say what came of it."""
+        if act is None:
             self.post_message(NoteChanged("--readonly: nothing is changed"))
             return
-        host, manager = line.host, self._frame.snapshot.manager
-        close = manager is None or host not in manager.cordons
-        question = f"{'Cordon' if close else 'Uncordon'} {host}?"
+        fleet = self._frame.inventory.fleet if self._frame is not None else ""
+
+        def work() -> None:
+            self.post_message(NoteChanged(act()))
+            self._again.set()
 
         def answered(yes: bool | None) -> None:  # noqa: FBT001, textual calls it so
             if yes:
-                self._run_in_thread(lambda: self._set_cordon(cordon, host, close=close))
+                self.post_message(NoteChanged(f"{what} ..."))
+                self._run_in_thread(work)
 
-        self.push_screen(ConfirmScreen(question), answered)
+        self.push_screen(ConfirmScreen(f"{what} (fleet {fleet})?"), answered)
 
-    def _set_cordon(self, cordon: Callable[[str, bool], None], host: str, *, close: bool) -> None:
-        cordon(host, close)
-        self.post_message(NoteChanged(f"{host} {'cordoned' if close else 'uncordoned'}"))
+    def action_shell(self) -> None:
+        """Leave the terminal to a shell on the selected host."""
+        host, shell = self._get_selected_host(), self._work.open_shell
+        if host is None:
+            return
+        if shell is None:
+            self.post_message(NoteChanged("--readonly: no shell"))
+            return
+        try:
+            with self.suspend():
+                code = shell(host)
+        except (SuspendNotSupported, OSError) as error:
+            self.post_message(NoteChanged(f"no shell on {host}: {error}"))
+        else:
+            self.post_message(NoteChanged(f"the shell on {host} ended with {code}" if code else ""))
         self._again.set()
+
+    def _get_selected_host(self) -> str | None:
+        """The host of the line under the cursor."""
+        line = self._line(self._focused_table)
+        return line.host if line is not None else None
+
+    def _get_selected_task(self, what: str) -> str | None:
+        """The task of the line under the cursor; without one, a note."""
+        line = self._line(self._focused_table)
+        if line is None or line.task is None:
+            self.post_message(NoteChanged(f"{what} needs a task; choose one (Tab)"))
+            return None
+        return line.task
 
     # -- threads --
 
@@ -357,6 +512,11 @@ class TopApp(App[None]):
         self._again.wait(self._every)
         self._again.clear()
         return self._ended.is_set()
+
+
+def escape_lines(text: str) -> str:
+    """The lines with control characters of hosts escaped."""
+    return "\n".join(map(escape_unprintable, text.split("\n")))
 
 
 def _render_cells(line: TopRow) -> list[Text]:

@@ -6,15 +6,17 @@ from dataclasses import dataclass, field
 from edgectl.model.inventory import Inventory
 from edgectl.model.point import HostPoint, TaskPoint
 from edgectl.model.resource import CPU, HOST_RESOURCES, TASK_RESOURCES, Resource
-from edgectl.model.snapshot import HostSample, ResourceUsage, Snapshot, TaskSample
+from edgectl.model.snapshot import HostSample, LinkSample, ResourceUsage, Snapshot, TaskSample
 from edgectl.model.task import Task, Tasks
 from edgectl.names import natural_key
-from edgectl.units import format_cores, format_duration
+from edgectl.units import format_cores, format_duration, format_rate
 from edgectl.views.describe_host import HostDetailsView
 from edgectl.views.describe_task import TaskDetailsView
+from edgectl.views.reasons import join_first_words
 from edgectl.views.rows import compute_task_age, find_task_demand
 from edgectl.views.sparkline import SPARKLINE_SAMPLES, render_sparkline
 from edgectl.views.state import TASK_STATE_STYLES, format_operator_mark, resolve_absent_task
+from edgectl.views.status import StatusView
 from edgectl.views.text import Cell
 from edgectl.views.usage import render_difference
 
@@ -62,6 +64,8 @@ HOST_TITLES = (
     "HOST", "STATUS", "CPU", "",
     *(title for each in _OTHER_HOST_RESOURCES for title in (f"{each.name.upper()}%", "")), "TASKS",
 )  # fmt: skip
+LINK_TITLES = ("LINK", "USE", "USED", "CAPACITY", "RTT", "TASKS")
+LINK_ORDER = "use"
 TASK_TITLES = (
     "TASK", "HOST", "STATE", "AGE", "CPU/DEMAND", "", *(each.name.upper() for each in _OTHER_TASK_RESOURCES),
 )  # fmt: skip
@@ -218,6 +222,40 @@ def _assemble_task_row(task: str, host: str | None, cells: Sequence[Cell], **amo
     return TopRow(
         host=host, task=task, cells=tuple(cells), orders={**orders, "name": named, "host": named[::-1]}
     )
+
+
+def build_link_rows(frame: Frame) -> list[TopRow]:
+    """One line per link of a host that answers, the busiest first."""
+    return [
+        _build_link_row(edge, robot, link, frame)
+        for edge, sample in frame.snapshot.hosts.items()
+        for robot, link in sample.links.items()
+    ]
+
+
+def _build_link_row(edge: str, robot: str, link: LinkSample, frame: Frame) -> TopRow:
+    down = not link.capacity_bytes_per_s
+    share = 0.0 if down else link.used_bytes_per_s / link.capacity_bytes_per_s
+    tasks = sorted(
+        name
+        for name in frame.snapshot.hosts[edge].tasks
+        if name in frame.tasks.tasks and robot in frame.tasks.tasks[name].robots
+    )
+    cells = (
+        Cell(f"{edge} - {robot}", "name"),
+        Cell("down", "bad") if down else Cell(f"{share:.0%}", _get_heat_style(share)),
+        Cell(format_rate(link.used_bytes_per_s)),
+        Cell(format_rate(link.capacity_bytes_per_s)),
+        Cell("-" if link.rtt_ms is None else f"{link.rtt_ms:.1f}ms"),
+        Cell(join_first_words(tasks) if tasks else "-"),
+    )
+    named = (natural_key(edge), natural_key(robot))
+    return TopRow(host=edge, task=None, cells=cells, orders={"use": (not down, -share, *named)})
+
+
+def list_problems(frame: Frame) -> list[str]:
+    """What is wrong now, as ``edgectl status`` begins."""
+    return StatusView(frame.snapshot, frame.inventory, frame.tasks).list_problems()
 
 
 def _get_share(usage: ResourceUsage | None) -> float | None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from edgectl.formats.document import Document
 from edgectl.formats.kinds import PLAN_KIND
-from edgectl.model.assignment import RankedHost
+from edgectl.model.assignment import Decision, RankedHost
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Weights
 from edgectl.model.resource import TERMS
@@ -15,16 +15,21 @@ from edgectl.views.demands import render_demands, render_reservations
 from edgectl.views.glossary import head, list_shown_weights
 from edgectl.views.output import View
 from edgectl.views.output_format import PLAN_FORMATS
+from edgectl.views.plan_header import (
+    render_folded_steps,
+    render_legend,
+    render_plan_header,
+    select_shown_steps,
+)
 from edgectl.views.plan_sections import (
     ACTION_STYLES,
     format_utility,
     list_plan_notes,
     render_expected_load,
     render_notes,
-    render_plan_header,
     render_plan_summary,
 )
-from edgectl.views.reasons import describe_reason, describe_rejection, is_left_out
+from edgectl.views.reasons import describe_reason, describe_rejection, is_left_out, list_equal_hosts
 from edgectl.views.standbys import render_standby_rows
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, escape_unprintable, render_columns
 
@@ -45,38 +50,55 @@ class PlanView(View):
 
     formats = PLAN_FORMATS
 
-    def __init__(self, plan: Plan, tasks: Tasks | None = None, carried: "LastMoves | None" = None) -> None:
-        """``tasks`` state what moves take along; ``carried``: by task, the last move that did."""
+    def __init__(
+        self,
+        plan: Plan,
+        tasks: Tasks | None = None,
+        carried: "LastMoves | None" = None,
+        *,
+        fleet: str = "",
+        now: float | None = None,
+    ) -> None:
+        """``tasks`` state what moves take along; ``carried``: by task, the last move that did. ``fleet``: its
+        name, for the header; ``now``: time by which the age of the snapshot is shown.
+        """
         self._plan, self._tasks, self._carried = plan, tasks, carried or {}
+        self._fleet, self._now = fleet, now
 
     def table(self, look: RenderOptions = PLAIN) -> str:
-        """The changes with their reasons, the load that is expected afterwards, and a line that counts."""
-        steps = self._plan.steps
+        """The changes with their reasons, the load that is expected afterwards, and a line that counts.
+
+        What stays where it is, is one line; without any change the expected load is left out.
+        """
+        steps = select_shown_steps(self._plan.steps)
         rows = [_STEP_HEAD]
         for step in steps:
             rows += [_render_step_row(step), *render_standby_rows(step, format_utility)]
         return _join_parts(
-            render_plan_header(self._plan, look) if self._plan.expected else "",
-            render_columns(rows, look, right={4, 5}, wrap={1, 2, 3}) if steps else "",
-            render_expected_load(self._plan, look),
+            self._render_header(look) if self._plan.expected else "",
+            (render_columns(rows, look, right={4, 5}, wrap={1, 2, 3}) if steps else "")
+            + (render_folded_steps(self._plan.steps, look) if self._plan.changes or steps else ""),
+            render_expected_load(self._plan, look) if steps else "",
             render_plan_summary(self._plan, look),
         )
 
     def wide(self, look: RenderOptions = PLAIN) -> str:
         """The table with every candidate of every task, the demands, and what moves take along."""
-        steps = self._plan.steps
+        changing = [step for step in self._plan.steps if step.changes]
+        steps = [*changing, *(step for step in self._plan.steps if not step.changes)]
         weights = self._plan.policy.weights
         rows = [
             _CANDIDATE_HEAD,
             *(row for step in steps for row in _render_candidate_rows(step, weights)),
         ]
         return _join_parts(
-            render_plan_header(self._plan, look),
+            self._render_header(look),
             render_columns(rows, look, right=_TERM_COLUMNS, wrap={1, 2}) if steps else "",
             render_demands(self._plan, look),
             render_reservations(self._plan, look),
             self._render_taken_along(look),
             render_expected_load(self._plan, look),
+            render_legend(steps, look) if steps else "",
             render_plan_summary(self._plan, look),
         )
 
@@ -86,6 +108,9 @@ class PlanView(View):
         from edgectl.views.taken_along import render_taken_along
 
         return render_taken_along(self._plan, self._tasks, self._carried, look)
+
+    def _render_header(self, look: RenderOptions = PLAIN) -> str:
+        return render_plan_header(self._plan, look, fleet=self._fleet, now=self._now)
 
     def notes(self) -> Sequence[str]:
         """Notes on hosts, deferred tasks and demands."""
@@ -117,13 +142,18 @@ class PlanView(View):
         summary = render_plan_summary(self._plan).strip()
         return (
             f"{PLAN_COMMENT_MARKER}\n**{summary}**\n\n{_MARKDOWN_HEAD}{rows}{notes}{folded}"
-            f"\n{render_plan_header(self._plan)}"
+            f"\n{self._render_header()}"
         )
 
 
 _STEP_HEAD = head("", "task", "now_host", "next_host", "total", "lead", "reason")
 _CANDIDATE_HEAD = head("", "task", "host", *(f"utility.{term}" for term in TERMS), "total", "reason")
 _TERM_COLUMNS = frozenset(range(3, 4 + len(TERMS)))
+
+
+def format_lead(decision: Decision) -> str:
+    """The lead over the next host; a tie is no number."""
+    return "tie" if list_equal_hosts(decision) else format_utility(decision.lead, signed=True)
 
 
 def _join_parts(*parts: str) -> str:
@@ -138,7 +168,7 @@ def _render_step_row(step: Step) -> Row:
         decision.previous_host or "-",
         Cell(_find_next_host(step) or "-", "bold" if step.action.changes else ""),
         format_utility(decision.total),
-        format_utility(decision.lead, signed=True),
+        format_lead(decision),
         Cell(describe_reason(step), style),
     )
 
@@ -221,7 +251,7 @@ def _render_markdown_row(step: Step) -> str:
         decision.previous_host or "-",
         decision.host or "-",
         format_utility(decision.total),
-        format_utility(decision.lead, signed=True),
+        format_lead(decision),
         describe_reason(step),
     )
     return f"| `{step.action.symbol}` | " + " | ".join(escape_markdown(field) for field in fields) + " |\n"

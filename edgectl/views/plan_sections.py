@@ -18,9 +18,9 @@ from edgectl.names import natural_key
 from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.rules.other_managers import describe_unlisted_host, list_tasks_on_unlisted_hosts
 from edgectl.rules.slack import compute_slack
-from edgectl.units import format_instant, format_rate
+from edgectl.units import format_rate
 from edgectl.views.demands import list_demand_notes
-from edgectl.views.glossary import head_of_resource, list_shown_weights
+from edgectl.views.glossary import head_of_resource
 from edgectl.views.reasons import (
     describe_pin,
     describe_reason,
@@ -58,15 +58,6 @@ ACTION_STYLES = {
     Action.UNPLACED: "bad",
     Action.DEFER: "warn",
 }
-
-
-def render_plan_header(value: Plan, look: RenderOptions = PLAIN) -> str:
-    """Policy, weights as used, and snapshot of the plan."""
-    weights = list_shown_weights(value.policy.weights)
-    shown = ", ".join(f"{name} {weight:.3g}" for name, weight in weights.items())
-    return wrap_text(
-        f"Policy {value.policy.name}; weights {shown}; snapshot of {format_instant(value.created_at)}", look
-    )
 
 
 def format_utility(value: float | None, *, signed: bool = False) -> str:

@@ -19,6 +19,8 @@ from edgectl.rules.lost_places import describe_lost_place, get_lost_place
 from edgectl.rules.other_managers import describe_unlisted_host
 from edgectl.units import format_duration, format_instant
 
+# Utilities that differ by less are equal (ADR 8).
+_EQUAL = 1e-9
 # Names in a sentence.
 _MAX_NAMED = 5
 _RULE_TEXTS = {
@@ -94,11 +96,40 @@ def _describe_cause(step: Step) -> str:
     decision = step.decision
     special = _REASON_DESCRIBERS.get(decision.reason)
     text = special(step) if special is not None else _FIXED_REASON_TEXTS[decision.reason]
+    if decision.reason in (Reason.STILL_BEST, Reason.ONLY_FEASIBLE, Reason.PINNED) and is_pinned(decision):
+        text = f"pinned to {decision.host}"
+    elif decision.reason in (Reason.STILL_BEST, Reason.BEST) and (equal := list_equal_hosts(decision)):
+        stays = decision.host == decision.previous_host
+        text = f"tie with {join_first_words(equal)}; " + (
+            "it stays where it runs" if stays else "chosen by the tie rule"
+        )
     return (
         f"{text}; over capacity"
         if decision.overcommitted and decision.reason is not Reason.NOTHING_FITS
         else text
     )
+
+
+def is_pinned(decision: Decision) -> bool:
+    """Whether the task file allows this host alone."""
+    if decision.lead is not None or decision.pin is not None:
+        return False  # another host may have it, so the ranking need not be made (ADR 75)
+    ruled_out = (entry.rule for ranked in decision.ranking for entry in ranked.rejections)
+    return RejectionRule.PIN in decision.rejection_counts or RejectionRule.PIN in ruled_out
+
+
+def list_equal_hosts(decision: Decision) -> list[str]:
+    """The other hosts whose utility is that of the chosen one."""
+    if decision.total is None or decision.lead is None or abs(decision.lead) > _EQUAL:
+        return []
+    return [
+        ranked.host
+        for ranked in decision.ranking
+        if ranked.feasible
+        and ranked.host != decision.host
+        and ranked.total is not None
+        and abs(ranked.total - decision.total) <= _EQUAL
+    ]
 
 
 def describe_pin(pin: OperatorPin | Pin) -> str:

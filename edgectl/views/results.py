@@ -33,12 +33,12 @@ class ResultsView(ItemView):
     kind = "result"
     formats = NAMED_FORMATS
 
-    def __init__(self, results: Results | None) -> None:
-        self._results = results
+    def __init__(self, results: Results | None, *, fleet: str = "") -> None:
+        self._results, self._fleet = results, fleet
 
     def table(self, look: RenderOptions = PLAIN) -> str:
         """The outcome of each action, a line that counts, and hints."""
-        return "" if self._results is None else render_results(self._results, look)
+        return "" if self._results is None else render_results(self._results, look, self._fleet)
 
     def item(self) -> Document:
         """The results as JSON types."""
@@ -57,12 +57,14 @@ class DrainView(ItemView):
     kind = "drain"
     formats = NAMED_FORMATS
 
-    def __init__(self, passes: Sequence[Results], left: Iterable[tuple[str, str]], *, done: bool) -> None:
-        self._passes, self._left, self._done = passes, tuple(left), done
+    def __init__(
+        self, passes: Sequence[Results], left: Iterable[tuple[str, str]], *, done: bool, fleet: str = ""
+    ) -> None:
+        self._passes, self._left, self._done, self._fleet = passes, tuple(left), done, fleet
 
     def table(self, look: RenderOptions = PLAIN) -> str:
         """Every pass."""
-        return "\n".join(render_results(each, look) for each in self._passes)
+        return "\n".join(render_results(each, look, self._fleet) for each in self._passes)
 
     def item(self) -> Document:
         """The passes in order, and the rest."""
@@ -77,11 +79,12 @@ class DrainView(ItemView):
         return [f"task/{action.task}" for each in self._passes for action in each.actions]
 
 
-def render_results(value: Results, look: RenderOptions) -> str:
+def render_results(value: Results, look: RenderOptions, fleet: str = "") -> str:
     """The outcome of each action of one plan."""
     done = sum(action.outcome is Outcome.DONE for action in value.actions)
     took = format_duration(value.seconds)
-    text = f"Applied {done} of {len(value.actions)} in {took}. Revision {value.revision}."
+    where = f" of fleet {fleet}" if fleet else ""
+    text = f"Applied {done} of {len(value.actions)} in {took}. Revision {value.revision}{where}."
     stopped = " Interrupted." if value.interrupted else ""
     return (
         render_actions(value.actions, look)

@@ -21,9 +21,10 @@ from edgectl.views.output_format import FLEET_FORMATS
 from edgectl.views.plan_sections import list_snapshot_notes
 from edgectl.views.rows import encode_host_row
 from edgectl.views.state import render_host_status
-from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
+from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, is_within_width, render_columns
 from edgectl.views.usage import describe_capacity, format_traffic
 
+UsedCell = Callable[[ResourceUsage | None, Callable[[float], str]], Cell]
 _USED_COLUMNS = tuple(f"{each.name}.used_{each.unit.name}" for each in HOST_RESOURCES)
 
 
@@ -37,12 +38,23 @@ class SnapshotView(View):
         self._bandwidth = bandwidth
 
     def table(self, look: RenderOptions = PLAIN) -> str:
-        """One line per host: capacity, usage, links and tasks."""
-        rows = [head("host", "role", "status", *_USED_COLUMNS, "task_count", "links")]
-        rows += [_render_host_row(name, host, self._snapshot) for name, host in self._snapshot.hosts.items()]
+        """One line per host: capacity, usage, links and tasks; on a narrow terminal shares alone."""
+        rows = self._render_host_rows(_render_used_cell)
+        if not is_within_width([row[:-1] for row in rows], look):
+            rows = self._render_host_rows(_render_share_cell)
         return self._render_bandwidth(look) + render_columns(
             rows, look, right=set(range(3, 4 + len(HOST_RESOURCES))), wrap={2}
         )
+
+    def _render_host_rows(self, show: UsedCell) -> list[Row]:
+        """The heading, then the rows with the usage of each resource by ``show``."""
+        return [
+            head("host", "role", "status", *_USED_COLUMNS, "task_count", "links"),
+            *(
+                _render_host_row(name, host, self._snapshot, show)
+                for name, host in self._snapshot.hosts.items()
+            ),
+        ]
 
     def notes(self) -> Sequence[str]:
         """Hosts without a reply, tasks that run twice or at lost places, and tasks of other fleets."""
@@ -87,13 +99,13 @@ class SnapshotView(View):
         return [f"{host.role}/{name}" for name, host in self._snapshot.hosts.items() if host.ok]
 
 
-def _render_host_row(name: str, host: HostSample, value: Snapshot) -> Row:
+def _render_host_row(name: str, host: HostSample, value: Snapshot, show: UsedCell) -> Row:
     first = (Cell(name, "name"), host.role, render_host_status(name, host, value.manager))
     if not host.ok or not host.measured:
         return (*first, *("-",) * (len(HOST_RESOURCES) + 2))
     return (
         *first,
-        *(_render_used_cell(host.usage.get(each.name), each.unit.format) for each in HOST_RESOURCES),
+        *(show(host.usage.get(each.name), each.unit.format) for each in HOST_RESOURCES),
         str(sum(task.state.alive for task in host.tasks.values())),
         ", ".join(_format_link_share(robot, link) for robot, link in host.links.items()) or "-",
     )
@@ -104,6 +116,13 @@ def _render_used_cell(usage: ResourceUsage | None, show: Callable[[float], str])
         return Cell("-")
     share = usage.used / usage.capacity
     return Cell(f"{show(usage.used)}/{show(usage.capacity)} ({share:.0%})", "bad" if share > 1 else "")
+
+
+def _render_share_cell(usage: ResourceUsage | None, _: Callable[[float], str]) -> Cell:
+    if usage is None:
+        return Cell("-")
+    share = usage.used / usage.capacity
+    return Cell(f"{share:.0%}", "bad" if share > 1 else "")
 
 
 def _format_link_share(robot: str, link: LinkSample) -> str:

@@ -1,6 +1,6 @@
 """The status of every task: host, state, age, usage against demand, and remarks on what needs attention."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from edgectl.formats.document import Document
 from edgectl.model.assignment import Shortage
@@ -17,11 +17,14 @@ from edgectl.views.latency import RIGHT_COLUMNS, list_latency_notes, render_late
 from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import ListView
 from edgectl.views.output_format import FLEET_FORMATS
+from edgectl.views.plan_header import render_header
 from edgectl.views.plan_sections import (
     describe_overuse,
     list_doubled_notes,
+    list_lost_task_notes,
     list_operator_mark_notes,
     list_snapshot_notes,
+    list_unreachable_notes,
 )
 from edgectl.views.rows import (
     compute_task_age,
@@ -53,6 +56,7 @@ from edgectl.views.text import (
     Cell,
     RenderOptions,
     Row,
+    escape_unprintable,
     is_within_width,
     render_columns,
     style_text,
@@ -83,17 +87,16 @@ class StatusView(ListView):
         self._failed = find_failed_tasks(tasks, snapshot)
 
     def table(self, look: RenderOptions = PLAIN) -> str:
-        """First what runs twice and what failed; usage beside demand, or below on a narrow terminal."""
+        """First what is wrong now; usage beside demand, or below on a narrow terminal; on a very narrow one
+        only the resources for which there is room.
+        """
         rows = self._list_rows()
         if len(rows) == 1:
             return ""
-        # A state may wrap, so the longest one does not count.
-        widest: list[Row] = [(*row[:2], TaskState.COMPLETED, *row[3:]) for row in rows]
-        if is_within_width(widest, look):
+        if is_within_width(_with_short_states(rows), look):
             return self._render(rows, look, right=set(range(3, len(_HEAD))))
-        return self._render(
-            list(_stack_demand_rows(rows)), look, right=set(range(3, _FIRST_USAGE + len(RESOURCES)))
-        )
+        stacked = _drop_usage_columns(list(_stack_demand_rows(rows)), look)
+        return self._render(stacked, look, right=set(range(3, _FIRST_USAGE + len(RESOURCES))))
 
     def wide(self, look: RenderOptions = PLAIN) -> str:
         """The same with the ROS nodes of each task, as far as they are known."""
@@ -135,11 +138,34 @@ class StatusView(ListView):
         return list_node_names(task) if task is not None else ()
 
     def _render(self, rows: list[Row], look: RenderOptions, *, right: set[int]) -> str:
+        first = self.list_problems()
+        head_lines = [style_text(wrap_text(escape_unprintable(line), look), "bad", look) for line in first]
+        table = render_columns(rows, look, right=right, wrap={2})
+        measured = render_latency_rows(self._list_alive_runs())
+        below = render_columns(measured, look, right=set(RIGHT_COLUMNS))
+        return "".join(
+            [self._render_header(look, len(first)), *head_lines, "\n", table, below and "\n" + below]
+        )
+
+    def _render_header(self, look: RenderOptions, problems: int) -> str:
+        hosts = self._snapshot.hosts.values()
+        running = {name for name, _, sample in list_task_runs(self._snapshot) if sample.state.alive}
+        parts = [
+            f"fleet {self._inventory.fleet}",
+            f"{sum(name in running for name in self._tasks.tasks)}/{len(self._tasks.tasks)} tasks run",
+            f"{sum(host.ok for host in hosts)}/{len(hosts)} hosts answer",
+            f"{problems} problem{'s' * (problems != 1)}:" if problems else "no problem",
+        ]
+        return render_header(parts, look)
+
+    def list_problems(self) -> list[str]:
+        """What is wrong now, the worst first."""
         failed = [
             f"{name} on {host}{', given up' if sample.given_up else ''}"
             for name, (host, sample) in self._failed.items()
         ]
-        first = list_doubled_notes(self._snapshot)
+        first = list_doubled_notes(self._snapshot) + list_unreachable_notes(self._snapshot)
+        first += list_lost_task_notes(self._snapshot)
         if failed:
             first.append(f"{len(failed)} of {len(self._tasks.tasks)} tasks failed: {', '.join(failed)}")
         unhealthy = list_unhealthy_tasks(self._snapshot)
@@ -150,23 +176,20 @@ class StatusView(ListView):
         standbys = list_standby_faults(self._tasks, self._snapshot)
         if standbys:
             first.append(f"not ready as standby: {', '.join(standbys)}")
-        first += [
+        return first + [
             f"{task} on {host} is cut off from {robot}: the link is down, and both answer edgectl"
             for task, host, robot in list_cut_off_tasks(self._tasks, self._snapshot)
         ]
-        head_lines = [style_text(wrap_text(line, look), "bad", look) for line in first]
-        table = render_columns(rows, look, right=right, wrap={2})
-        measured = render_latency_rows(self._list_alive_runs())
-        below = render_columns(measured, look, right=set(RIGHT_COLUMNS))
-        return "".join([*head_lines, table, below and "\n" + below])
 
     def _list_alive_runs(self) -> list[tuple[str, str, TaskSample]]:
         return [run for run in list_task_runs(self._snapshot) if run[2].state.alive]
 
     def notes(self) -> Sequence[str]:
-        """The warnings, and remarks on tasks that stand in their rows in documents."""
+        """The warnings that are not above the table, and remarks that stand in the rows of documents."""
+        above = set(self.list_problems()) if self._list_named_rows() else set()
         none = [] if self._tasks.tasks or list_task_runs(self._snapshot) else ["no task"]
-        return [*none, *self.warnings(), *list_task_remarks(self._snapshot), *self._list_need_notes()]
+        warnings = [line for line in self.warnings() if line not in above]
+        return [*none, *warnings, *list_task_remarks(self._snapshot), *self._list_need_notes()]
 
     def _render_run_row(self, run: tuple[str, str, TaskSample]) -> Row:
         name, host, sample = run
@@ -273,6 +296,18 @@ def _stack_demand_rows(rows: list[Row]) -> Iterator[Row]:
         demands = row[_FIRST_USAGE + 1 :: 2]
         if any(demand != "-" for demand in demands):
             yield ("", "", "", "demand", *demands)
+
+
+def _drop_usage_columns(rows: list[Row], look: RenderOptions) -> list[Row]:
+    """The rows without the last resources that would stand below their row, away from their heading."""
+    while len(rows[0]) > _FIRST_USAGE + 1 and not is_within_width(_with_short_states(rows), look):
+        rows = [row[:-1] for row in rows]
+    return rows
+
+
+def _with_short_states(rows: Iterable[Row]) -> list[Row]:
+    """The rows with the state that a column has room for at least: longer ones are wrapped."""
+    return [(*row[:2], TaskState.COMPLETED, *row[3:]) for row in rows]
 
 
 def _render_absent_row(task: Task, value: Snapshot) -> Row:

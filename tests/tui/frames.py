@@ -83,9 +83,16 @@ class Bench:
         """The view. It looks again where ``next`` says so."""
         return TopApp(
             FleetBackend(
-                frames=self._frames, logs=self._logs, cordon=None if self.readonly else self._cordon
+                frames=self._frames,
+                logs=self._logs,
+                explain=lambda task: self._note(f"explain {task}") + "highest utility",
+                cordon=None if self.readonly else self._cordon,
+                restart=None if self.readonly else lambda task: self._note(f"restart {task}") + "done",
+                drain=None if self.readonly else lambda host: self._note(f"drain {host}") + "done",
+                open_shell=None if self.readonly else lambda host: len(self._note(f"shell {host}")),
             ),
             every=every,
+            clock=lambda: NOW + 2.0,
         )
 
     def next(self, view: TopApp, *frames: Frame | EdgectlError) -> None:
@@ -109,6 +116,10 @@ class Bench:
         if isinstance(self.log, EdgectlError):
             raise self.log
         return self.log
+
+    def _note(self, text: str) -> str:
+        self.asked.append(text)
+        return ""
 
     def _cordon(self, host: str, close: bool) -> None:
         self.asked.append(f"{'cordon' if close else 'uncordon'} {host}")

@@ -122,7 +122,7 @@ def test_status_sets_the_measured_demand_beside_the_use() -> None:
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot())
     hosts = {"edge1": replace(SNAPSHOT.hosts["edge1"], tasks={"slam": a_run(used=Usage(cpu=1.25))})}
     text = show(StatusView(replace(SNAPSHOT, hosts=hosts, manager=MEMORY), inventory, TASKS))
-    assert text.splitlines()[1].split()[4:] == ["1.25", "1.00", "0B", "100.0Mi", "0B/s", "300.0kB/s"]
+    assert text.splitlines()[3].split()[4:] == ["1.25", "1.00", "0B", "100.0Mi", "0B/s", "300.0kB/s"]
 
 
 def a_profile(name: str = "slam-of-the-second-robot") -> ClassProfile:

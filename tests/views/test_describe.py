@@ -197,7 +197,7 @@ Unreachable:  hold; stops itself after 1m00s
 Environment:  API_KEY=***, MODE=fast
 Placed:       edge1 since 2025-11-21T01:49:00Z
 Downtimes:    edge1: 0.8s, 1.2s; edge2: 2.0s
-Decision:     keep: still the best host
+Decision:     keep: pinned to edge1
 On edge1:
   State:       ready
   Since:       2025-11-21T01:49:08Z (4m12s)

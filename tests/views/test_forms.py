@@ -15,6 +15,7 @@ from edgectl.formats.kinds import PLAN_KIND, SNAPSHOT_KIND
 from edgectl.model.inventory import Role
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action
+from edgectl.model.policy import Weights
 from edgectl.model.result import ActionResult, Outcome, Phase, PhaseResult, Results
 from edgectl.model.snapshot import BandwidthMeasurement, HostSample, HostStatus, TaskState
 from edgectl.views import encoder
@@ -112,14 +113,19 @@ def test_documents_read_back() -> None:
 def test_plan_table() -> None:
     text = PlanView(plan()).table()
     lines = text.splitlines()
-    assert lines[0].startswith(
-        "Policy utility; weights cpu 0.25, memory 0.25, network 0.25, task 0.25; snapshot of 2026-"
-    )
+    assert lines[0] == "Weights all, snapshot of 2026-11-21T03:02:39Z"
     assert re.match(r" +TASK +NOW +NEXT +UTILITY +LEAD +REASON$", lines[2])
     assert re.match(
         r"~ +detection-robot1 +edge1 +edge2 +0\.\d{3} +[+-]0\.\d{3} +move: edge1 short of cpu by", lines[3]
     )
+    assert lines[4:6] == ["=  9 kept (-o wide shows all)", ""]
     assert lines[-1] == "Plan: 0 to start, 1 to move, 0 to stop, 9 kept, 0 unplaced."
+    seen = dataclasses.replace(plan().policy, weights=Weights(cpu=1, memory=1, network=0, task=0))
+    live = PlanView(dataclasses.replace(plan(), policy=seen), fleet="lab", now=plan().created_at + 2)
+    assert (
+        live.table().splitlines()[0]
+        == "Fleet lab, weights cpu 1 memory 1 network 0 task 0, snapshot 2.0s ago"
+    )
 
 
 def test_wide_shows_four_terms_of_every_host_and_what_losers_lack() -> None:
@@ -190,11 +196,11 @@ def test_status_tells_silence_from_absence() -> None:
         manager=dataclasses.replace(memory, done=done),
     )
     text = show(StatusView(changed, inventory, tasks))
-    rows = {line.split()[0]: line.split()[1:] for line in text.splitlines()}
+    rows = {line.split()[0]: line.split()[1:] for line in text.splitlines() if line}
     assert rows["map-merge"][:2] == ["edge3", "unknown"]
     assert rows["detection-robot2"][:3] == ["-", "not", "running"]
     assert rows["slam-robot2"][:2] == ["-", "completed"]
-    assert "note: edge3 does not answer: no route\n" in text
+    assert text.splitlines()[1] == "edge3 does not answer: no route"
 
 
 def test_colour_never_carries_meaning_alone() -> None:
@@ -275,15 +281,16 @@ def test_no_table_passes_the_edge_of_the_terminal(width: int) -> None:
     assert {
         what: line for what, text in shown.items() for line in text.splitlines() if len(line) > width
     } == {}
-    first, head = shown["status"].splitlines()[:2]
+    header, first, _, head = shown["status"].splitlines()[:4]
+    assert header == "Fleet demo, 7/10 tasks run, 6/6 hosts answer, 1 problem:"
     assert first == "1 of 10 tasks failed: detection-robot1 on edge1"
     assert head.split()[:3] == ["TASK", "HOST", "STATE"]
 
 
 def test_a_status_on_a_narrow_terminal_has_the_demands_below() -> None:
     inventory, tasks, snapshot = fleet()
-    lines = StatusView(snapshot, inventory, tasks).table(RenderOptions(width=80)).splitlines()
-    whole = StatusView(snapshot, inventory, tasks).table().splitlines()
+    lines = StatusView(snapshot, inventory, tasks).table(RenderOptions(width=80)).splitlines()[2:]
+    whole = StatusView(snapshot, inventory, tasks).table().splitlines()[2:]
     assert lines[0].split() == ["TASK", "HOST", "STATE", "AGE", "CPU", "MEMORY", "NETWORK"]
     used, demanded = lines[1].split(), lines[2].split()
     assert demanded[0] == "demand"

@@ -67,6 +67,7 @@ def test_a_link_that_is_down_is_noted_where_the_robot_answers_the_manager() -> N
     assert (
         StatusView(seen, fleet, tasks)
         .table()
+        .splitlines()[2]
         .startswith("slam on edge1 is cut off from robot1: the link is down")
     )
     rows = {

@@ -98,7 +98,7 @@ def test_a_silent_host_is_told_with_how_long() -> None:
     tasks = some_tasks(a_task("slam"), a_task("camera"))
     text = show(StatusView(SNAPSHOT, FLEET, tasks))
     assert "unknown (silent for 1m30s)" in text
-    assert "note: edge1 does not answer: connection refused (silent for 1m30s)" in text
+    assert "\nedge1 does not answer: connection refused (silent for 1m30s)\n" in text
     rows = {row["task"]: row for row in StatusView(SNAPSHOT, FLEET, tasks).rows()}
     slam, camera = rows["slam"], rows["camera"]
     assert (slam["state"], slam["host"], slam["contacted_at"]) == (

@@ -66,7 +66,7 @@ def test_status_says_first_what_is_not_alive_and_counts_it_as_a_failure() -> Non
     shown = {}
     for run in (sick, a_run()):
         seen = a_snapshot({"edge1": a_sample(tasks={"slam": run})})
-        line = show(StatusView(seen, inventory, tasks)).splitlines()[0]
+        line = show(StatusView(seen, inventory, tasks)).splitlines()[1]
         shown[run.state] = (
             line == "1 of 2 tasks unhealthy: slam on edge1",
             of_status(seen, inventory, tasks),
@@ -87,7 +87,7 @@ def test_the_nodes_of_a_task_are_those_that_it_states() -> None:
     )
     seen = a_snapshot({"edge1": a_sample(tasks={"slam": a_run(), "stranger": a_run()})})
     view = StatusView(seen, inventory, tasks)
-    lines = show(view, OutputFormat.WIDE).splitlines()
+    lines = show(view, OutputFormat.WIDE).splitlines()[2:]
     assert lines[0].split()[-1] == "NODES"
     assert {line.split()[0]: line.partition("0B/s")[2].split()[-2:] for line in lines[1:2]} == {
         "slam": ["/robot1/slam,", "/robot1/odom"]
