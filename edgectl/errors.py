@@ -40,6 +40,7 @@ class ExitCode(IntEnum):
     UNPLACED = 3
     PARTLY = 4
     USAGE = 64
+    DIFF_FAILED = 70
     TRY_AGAIN = 75
     INTERRUPTED = 130
 

@@ -25,6 +25,7 @@ COMMANDS = {
     "plan": CommandEntry(
         "cli.plan", "Schedule", "Rank hosts for each task and show the changes, with reasons."
     ),
+    "diff": CommandEntry("cli.diff", "Schedule", "Show what apply would change; exit 1 if anything."),
     "apply": CommandEntry("cli.apply", "Schedule", "Start, stop and move tasks to match the plan."),
     "watch": CommandEntry("cli.watch", "Schedule", "Re-plan periodically; with --apply, also apply."),
     "status": CommandEntry("cli.status", "Inspect", "Show where tasks run and what needs attention."),
@@ -49,7 +50,10 @@ COMMANDS = {
         "cli.profile", "Inspect", "Show measured usage of a task; --write saves it as its demand."
     ),
     "stop": CommandEntry("cli.stop", "Operate", "Stop tasks."),
+    "start": CommandEntry("cli.stop", "Operate", "Start tasks that are stopped, failed or completed."),
     "restart": CommandEntry("cli.stop", "Operate", "Restart a task in place."),
+    "move": CommandEntry("cli.pins", "Operate", "Pin a task to a host, for a time or until unpinned."),
+    "unpin": CommandEntry("cli.pins", "Operate", "Let tasks be placed by utility again."),
     "rollback": CommandEntry("cli.history", "Operate", "Restore the placement of an earlier revision."),
     "cordon": CommandEntry("cli.operator_marks", "Operate", "Mark hosts as unschedulable."),
     "uncordon": CommandEntry("cli.operator_marks", "Operate", "Mark hosts as schedulable."),
@@ -64,6 +68,8 @@ COMMANDS = {
     "reopen": CommandEntry(
         "cli.operator_marks", "Operate", "Make completed or failed tasks schedulable again."
     ),
+    "exec": CommandEntry("cli.enter", "Operate", "Run a command where a task runs, in its environment."),
+    "ssh": CommandEntry("cli.enter", "Operate", "Log in to a host, or run a command there."),
     "trust": CommandEntry("cli.trust", "Operate", "Record the SSH host keys of hosts."),
     "doctor": CommandEntry("cli.doctor", "Operate", "Diagnose hosts, links and configuration."),
     "profilers start": CommandEntry("cli.profilers", "Operate", "Start resident profilers on the hosts."),

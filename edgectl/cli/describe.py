@@ -7,6 +7,7 @@ from typer import Argument, Exit
 
 from edgectl.cli import console, exit_codes, options
 from edgectl.cli.completion import complete_hosts
+from edgectl.cli.task_names import resolve_task_name
 from edgectl.cli.user_files import LoadedInputs, load_inputs
 from edgectl.model.inventory import Host
 from edgectl.names import check_known_names
@@ -19,7 +20,11 @@ _EVENT_COUNT = 10
 _HostNameArgument = Annotated[
     str,
     Argument(
-        metavar="NAME", autocompletion=complete_hosts, help="Name in the inventory.", show_default=False
+        metavar="NAME",
+        autocompletion=complete_hosts,
+        parser=options.strip_host_kind,
+        help="Name in the inventory.",
+        show_default=False,
     ),
 ]
 
@@ -105,6 +110,7 @@ def describe_task_command(
     from edgectl.views.describe_task import TaskDetailsView
 
     fleet = build_fleet(load_inputs(inventory, tasks))
+    task = resolve_task_name(task, fleet.tasks)
     snapshot = probe_fleet(fleet)
     check_known_names([task], [*fleet.tasks.tasks, *_list_running_tasks(snapshot)], "task")
     decided = make_plan(fleet, fleet.tasks.policy, snapshot=snapshot)

@@ -25,7 +25,9 @@ def handle_error(error: Exception, words: Sequence[str]) -> int:
             raise error
         known = _wrap_unexpected_error(error)
     print_error(known, words)
-    return known.exit_code
+    # Of diff, 1 says that something differs.
+    failed_diff = known.exit_code is ExitCode.FAILED and next(iter(words), "") == "diff"
+    return ExitCode.DIFF_FAILED if failed_diff else known.exit_code
 
 
 def _usage_error_from_typer(error: Exception) -> UsageError | None:

@@ -3,6 +3,7 @@
 from typer import Exit
 
 from edgectl.cli import console, exit_codes, options
+from edgectl.cli.task_names import resolve_task_name
 from edgectl.cli.user_files import load_inputs
 from edgectl.names import check_known_names
 from edgectl.views.output_format import OutputFormat
@@ -41,6 +42,7 @@ def explain_command(
     from edgectl.views.plan_sections import list_lost_task_notes, list_slack_notes, list_unreachable_notes
 
     loaded = load_inputs(inventory, tasks)
+    task = resolve_task_name(task, loaded.tasks)
     check_known_names([task], loaded.tasks.tasks, "task")
     fleet = build_offline_fleet(loaded) if snapshot else build_fleet(loaded, accept_new=accept_new)
     overrides = options.PolicyOptions(weights=weights, policy=policy, without=without)

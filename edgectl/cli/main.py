@@ -61,8 +61,10 @@ def _run_command(words: list[str]) -> int:
 
 def move_global_options(words: Sequence[str]) -> list[str]:
     """``--insecure-files``, which may stand anywhere, before the command."""
-    others = [word for word in words if word != _INSECURE_FILES]
-    return [_INSECURE_FILES, *others] if others and len(others) < len(words) else others
+    end = words.index("--") if "--" in words else len(words)
+    others = [word for word in words[:end] if word != _INSECURE_FILES]
+    moved = [_INSECURE_FILES] if others and len(others) < end else []
+    return [*moved, *others, *words[end:]]
 
 
 def expand_shorthand(words: Sequence[str]) -> list[str]:

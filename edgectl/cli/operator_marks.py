@@ -6,6 +6,7 @@ from typing import Annotated
 from typer import Exit, Option
 
 from edgectl.cli import apply_session, console, options
+from edgectl.cli.task_names import expand_task_names
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import ExitCode
 from edgectl.model.inventory import Inventory
@@ -18,6 +19,7 @@ def cordon_command(
     drain: Annotated[bool, Option("--drain", help="Also move their tasks away at the next apply.")] = False,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
+    dry_run: options.DryRunMarkOption = False,
 ) -> None:
     """Mark hosts as unschedulable.
 
@@ -29,14 +31,20 @@ def cordon_command(
     from edgectl.usecases import operator_marks
 
     loaded = load_inputs(inventory, tasks)
-    operator_marks.cordon_hosts(build_fleet(loaded), hosts, drain=drain)
-    _report_hosts(
-        hosts, loaded.inventory, "cordoned" + ("; its tasks leave at the next apply" if drain else "")
-    )
+    fleet = build_fleet(loaded)
+    check_known_names(hosts, loaded.inventory.hosts, "host")
+    if not dry_run:
+        operator_marks.cordon_hosts(fleet, hosts, drain=drain)
+    act = "cordoned" + ("; its tasks leave at the next apply" if drain else "")
+    _report_hosts(hosts, loaded.inventory, act, dry_run=dry_run)
 
 
 def uncordon_command(
-    hosts: options.HostsArgument, inventory: options.InventoryOption = None, tasks: options.TasksOption = None
+    *,
+    hosts: options.HostsArgument,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    dry_run: options.DryRunMarkOption = False,
 ) -> None:
     """Mark hosts as schedulable.
 
@@ -47,8 +55,11 @@ def uncordon_command(
     from edgectl.usecases import operator_marks
 
     loaded = load_inputs(inventory, tasks)
-    operator_marks.uncordon_hosts(build_fleet(loaded), hosts)
-    _report_hosts(hosts, loaded.inventory, "uncordoned")
+    fleet = build_fleet(loaded)
+    check_known_names(hosts, loaded.inventory.hosts, "host")
+    if not dry_run:
+        operator_marks.uncordon_hosts(fleet, hosts)
+    _report_hosts(hosts, loaded.inventory, "uncordoned", dry_run=dry_run)
 
 
 def fence_command(
@@ -57,6 +68,7 @@ def fence_command(
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     yes: options.YesOption = False,
+    dry_run: options.DryRunMarkOption = False,
 ) -> None:
     """Declare a host powered off so that its tasks can be rescheduled by the next apply, although it does not
     answer.
@@ -72,17 +84,23 @@ def fence_command(
 
     fleet = build_fleet(load_inputs(inventory, tasks))
     check_known_names([host], operator_marks.list_fenceable_hosts(fleet), "host")
+    if dry_run:
+        return _report_hosts([host], fleet.inventory, "fenced", dry_run=True)
     apply_session.check_can_confirm(asked=not yes)
     if not yes and not apply_session.ask_confirmation(
         f"If {host} is still on, its tasks will run twice. Type its name if it is powered off: ", host
     ):
         raise Exit(ExitCode.FAILED)
     operator_marks.fence_hosts(fleet, [host])
-    _report_hosts([host], fleet.inventory, "fenced")
+    return _report_hosts([host], fleet.inventory, "fenced")
 
 
 def unfence_command(
-    hosts: options.HostsArgument, inventory: options.InventoryOption = None, tasks: options.TasksOption = None
+    *,
+    hosts: options.HostsArgument,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    dry_run: options.DryRunMarkOption = False,
 ) -> None:
     """Clear the fence of hosts.
 
@@ -93,12 +111,16 @@ def unfence_command(
     from edgectl.usecases import operator_marks
 
     loaded = load_inputs(inventory, tasks)
-    operator_marks.unfence_hosts(build_fleet(loaded), hosts)
-    _report_hosts(hosts, loaded.inventory, "unfenced")
+    operator_marks.unfence_hosts(build_fleet(loaded), hosts, dry_run=dry_run)
+    _report_hosts(hosts, loaded.inventory, "unfenced", dry_run=dry_run)
 
 
 def done_command(
-    names: options.TasksArgument, inventory: options.InventoryOption = None, tasks: options.TasksOption = None
+    *,
+    names: options.TasksArgument,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    dry_run: options.DryRunMarkOption = False,
 ) -> None:
     """Mark tasks as completed: the next apply stops them, and they stay stopped until reopened or changed.
 
@@ -108,12 +130,20 @@ def done_command(
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases import operator_marks
 
-    operator_marks.mark_tasks_done(build_fleet(load_inputs(inventory, tasks)), names)
-    _report_tasks(names, "marked as done")
+    fleet = build_fleet(load_inputs(inventory, tasks))
+    names = expand_task_names(names, fleet.tasks)
+    check_known_names(names, fleet.tasks.tasks, "task")
+    if not dry_run:
+        operator_marks.mark_tasks_done(fleet, names)
+    _report_tasks(names, "marked as done", dry_run=dry_run)
 
 
 def reopen_command(
-    names: options.TasksArgument, inventory: options.InventoryOption = None, tasks: options.TasksOption = None
+    *,
+    names: options.TasksArgument,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    dry_run: options.DryRunMarkOption = False,
 ) -> None:
     """Make completed or failed tasks schedulable again. Exit 4 if a host did not answer: a task that
     ended there stays as it is.
@@ -124,17 +154,20 @@ def reopen_command(
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases import operator_marks
 
-    silent = operator_marks.reopen_tasks(build_fleet(load_inputs(inventory, tasks)), names)
-    _report_tasks(names, "reopened")
+    fleet = build_fleet(load_inputs(inventory, tasks))
+    names = expand_task_names(names, fleet.tasks)
+    check_known_names(names, fleet.tasks.tasks, "task")
+    silent = frozenset() if dry_run else operator_marks.reopen_tasks(fleet, names)
+    _report_tasks(names, "reopened", dry_run=dry_run)
     raise Exit(ExitCode.PARTLY if silent else ExitCode.DONE)
 
 
-def _report_hosts(names: Iterable[str], inventory: Inventory, act: str) -> None:
+def _report_hosts(names: Iterable[str], inventory: Inventory, act: str, *, dry_run: bool = False) -> None:
     for name in dict.fromkeys(names):
         role = inventory.hosts[name].role if name in inventory.hosts else "host"
-        console.print_text(f"{role}/{name} {act}\n")
+        console.print_text(f"{role}/{name} {act}{options.DRY_RUN_SUFFIX if dry_run else ''}\n")
 
 
-def _report_tasks(names: Iterable[str], act: str) -> None:
+def _report_tasks(names: Iterable[str], act: str, *, dry_run: bool = False) -> None:
     for name in dict.fromkeys(names):
-        console.print_text(f"task/{name} {act}\n")
+        console.print_text(f"task/{name} {act}{options.DRY_RUN_SUFFIX if dry_run else ''}\n")

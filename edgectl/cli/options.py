@@ -154,16 +154,31 @@ AcceptNewOption = Annotated[
     bool, Option("--accept-new", help="Trust hosts with unknown keys, as OpenSSH does.")
 ]
 
+
+def strip_host_kind(word: str) -> str:
+    """The name of a host that may be given as ``-o name`` prints it: ``edge/NAME``, ``robot/NAME``."""
+    kind, slash, name = word.partition("/")
+    return name if slash and kind in ("edge", "robot", "host") else word
+
+
 HostsArgument = Annotated[
     list[str],
     Argument(
-        metavar="HOST...", autocompletion=complete_hosts, help="Names in the inventory.", show_default=False
+        metavar="HOST...",
+        autocompletion=complete_hosts,
+        parser=strip_host_kind,
+        help="Names in the inventory.",
+        show_default=False,
     ),
 ]
 HostArgument = Annotated[
     str,
     Argument(
-        metavar="HOST", autocompletion=complete_hosts, help="Name in the inventory.", show_default=False
+        metavar="HOST",
+        autocompletion=complete_hosts,
+        parser=strip_host_kind,
+        help="Name in the inventory.",
+        show_default=False,
     ),
 ]
 
@@ -195,6 +210,9 @@ TasksArgument = Annotated[
 ]
 Shell = Literal["bash", "zsh", "fish"]
 DryRunOption = Annotated[bool, Option("--dry-run", help="Only print the exact remote commands.")]
+DryRunMarkOption = Annotated[bool, Option("--dry-run", help="Only check and print; change nothing.")]
+# After what a dry run would have done, as kubectl prints it.
+DRY_RUN_SUFFIX = " (dry run)"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,8 +8,9 @@ from pathlib import Path
 
 from edgectl.cli import console
 from edgectl.cli.extras import require_extra
-from edgectl.cli.options import PlanFilterOptions, PolicyOptions
+from edgectl.cli.options import PlanFilterOptions, PolicyOptions, strip_task_kind
 from edgectl.cli.selector import matches_selector
+from edgectl.cli.task_names import check_task_names, expand_task_names, label_task
 from edgectl.cli.user_files import refuse_exposed_files, select_exposed
 from edgectl.config.weights import parse_weights
 from edgectl.errors import UsageError
@@ -98,14 +99,16 @@ def build_plan_filter(
     """
     if not limits.target and limits.selector is None:
         return keep_whole_plan
-    check_known_names(limits.target or (), tasks.tasks, "task")
-    wanted = set(limits.target or ())
+    targets = [strip_task_kind(name) for name in limits.target or ()]
+    check_task_names(targets, tasks)
+    wanted = set(expand_task_names(targets, tasks))
     if limits.selector is not None:
-        wanted |= {
-            task.name
-            for task in tasks.tasks.values()
-            if matches_selector(limits.selector, {**task.labels, "task": task.template})
+        matching = {
+            task.name for task in tasks.tasks.values() if matches_selector(limits.selector, label_task(task))
         }
+        if not matching:
+            console.print_message(f"warning: no task matches -l {limits.selector}")
+        wanted |= matching
     return partial(_filter_plan, wanted=frozenset(wanted), quiet=quiet)
 
 

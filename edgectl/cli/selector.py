@@ -14,7 +14,11 @@ _COMMA = re.compile(r",(?![^()]*\))")  # outside of brackets
 _SYNTAX_HINT = "write a=b, a!=b, a in (b,c), a notin (b,c), a or !a, joined by commas"
 
 
-def matches_selector(selector: str, labels: Mapping[str, str]) -> bool:
+# A label of several values, such as the robots of a task, has each of them.
+Labels = Mapping[str, str | tuple[str, ...]]
+
+
+def matches_selector(selector: str, labels: Labels) -> bool:
     """Whether labels satisfy every part of ``selector``; ``!=`` and ``notin`` hold if the label is missing.
 
     Raises:
@@ -31,10 +35,12 @@ def _parse_requirement(part: str) -> re.Match[str]:
     return found
 
 
-def _is_requirement_met(part: re.Match[str], labels: Mapping[str, str]) -> bool:
-    value = labels.get(part["key"])
+def _is_requirement_met(part: re.Match[str], labels: Labels) -> bool:
+    found = labels.get(part["key"], ())
+    values = {found} if isinstance(found, str) else set(found)
     if part["word"]:
-        return (value in {each.strip() for each in part["values"].split(",")}) == (part["word"] == "in")
+        wanted = {each.strip() for each in part["values"].split(",")}
+        return values.isdisjoint(wanted) == (part["word"] == "notin")
     if part["sign"]:
-        return (value == part["value"]) == (part["sign"] != "!=")
-    return (value is None) == bool(part["absent"])
+        return (part["value"] in values) == (part["sign"] != "!=")
+    return bool(values) != bool(part["absent"])

@@ -6,6 +6,7 @@ from typer import Exit, Option
 
 from edgectl.cli import console, exit_codes, options
 from edgectl.cli.signals import catch_stop_signals, parse_every_option
+from edgectl.cli.task_names import expand_task_names
 from edgectl.cli.user_files import load_inputs
 from edgectl.rules.awaited_state import AwaitedState
 from edgectl.views.output_format import OutputFormat
@@ -46,6 +47,7 @@ def wait_command(
 
     limit, period = parse_duration_option(timeout, "--timeout"), parse_every_option(every)
     fleet = build_fleet(load_inputs(inventory, tasks))
+    names = expand_task_names(names, fleet.tasks)
     with catch_stop_signals(period) as end:
         stopped = False
 

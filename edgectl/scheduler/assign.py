@@ -21,6 +21,7 @@ from edgectl.scheduler.garbage import pause_collection
 from edgectl.scheduler.initial_state import InitialState, build_initial_state
 from edgectl.scheduler.integer_program import Solver
 from edgectl.scheduler.move_cost import collect_handoff_history
+from edgectl.scheduler.operator_pins import explain_pins, pin_tasks, resolve_pins
 from edgectl.scheduler.placement_rules import NO_RULES, build_placement_rules
 from edgectl.scheduler.policies import POLICIES
 from edgectl.scheduler.preference import sign_weights
@@ -78,7 +79,13 @@ def _assign(
     if not rules.strict_paper:
         state = reserve_running_tasks(state, tasks)
         fleet = state.ledger.fleet
-    order = order_tasks(tasks.tasks.values(), used.sequence)
+    pins = (
+        resolve_pins(tasks, manager, fleet, state, now, best_effort=used.best_effort)
+        if rules.follows_pins
+        else {}
+    )
+    unpinned = order_tasks(tasks.tasks.values(), used.sequence)
+    order = pin_tasks(unpinned, pins)
     context = AssignmentContext(
         arrays=_load_array_scan(fleet, tasks, used),
         fleet=fleet,
@@ -105,11 +112,13 @@ def _assign(
         if solve is not None:
             found, certificate = find_best_plan(how, known, solve)
         outcome, settled = found.outcome, found.settled
+    # A pin is about the task itself: its copies wait wherever its file lets them.
+    made = replace(made, order=unpinned) if pins else made
     standbys, expected = place_standbys(made, outcome)
     used_places = {place for place, _ in outcome.placed.values()}
     return Assignment(
         policy=used,
-        decisions=outcome.decisions,
+        decisions=explain_pins(outcome.decisions, pins),
         expected=expected.expected(used_places.union(*(each.places for each in standbys))),
         standbys=build_standby_steps(made, standbys, expected),
         settled=settled,

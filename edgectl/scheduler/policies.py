@@ -82,7 +82,7 @@ class SchedulingPolicy:
 
     ``settles``: passes are repeated until one changes nothing. ``strict_paper``: a running task's own use
     stays in gamma, and only what ran before the pass is a predecessor. ``weighs_moves``: a change of one
-    number may reverse a decision, so it can be explained.
+    number may reverse a decision, so it can be explained. ``follows_pins``: of an operator (ADR 140).
     """
 
     candidates: CandidateRules
@@ -90,6 +90,7 @@ class SchedulingPolicy:
     settles: bool = False
     strict_paper: bool = False
     weighs_moves: bool = False
+    follows_pins: bool = True
 
 
 _BY_RULES = CandidateRules(
@@ -119,6 +120,7 @@ POLICIES: Mapping[PolicyName, SchedulingPolicy] = MappingProxyType(
                 edges=False,
             ),
             choose=choose_local,
+            follows_pins=False,
         ),
     }
 )

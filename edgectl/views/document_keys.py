@@ -21,11 +21,11 @@ _HOST = (
     "hint", "sample_age_s", "resident", "counters", *(resource.name for resource in HOST_RESOURCES), "links",
     "task_names", "other_tasks", "foreign_tasks", "device", "mark",
 )  # fmt: skip
-_ABSENT_TASK = ("task", "host", "taken_at", "state", "contacted_at", "managed")
+_ABSENT_TASK = ("task", "host", "taken_at", "state", "contacted_at", "managed", "pin")
 _RUN = (
     "task", "host", "taken_at", "state", "detail", "age_s", "started_at", "ended_at", *_RESOURCES, "restarts",
     "pid", "instance", "generation", "managed", "given_up", "exit_code", "last_exit", "enforcement",
-    "partial", "log_tail", "metrics", "latency",
+    "partial", "log_tail", "metrics", "latency", "pin",
 )  # fmt: skip
 _TASK = (*_RUN, "standby", "contacted_at", "in_files", "task_kind", "robot_names", "needs", "labels")
 _LINK = ("edge", "robot", "taken_at", *_LINK_SAMPLE)
@@ -45,7 +45,10 @@ _OTHER_TASK = (
 # Kind -> keys of each item of a list.
 LIST_KEYS: KeysByName = {
     "change": ("type", "at", "object"),
+    "difference": ("task", "action", "reason", "previous_host", "host", "lines"),
     "edge": _HOST,
+    "all": ("kind", *dict.fromkeys((*_HOST, *_TASK, *_LINK))),
+    "host": _HOST,
     "event": _EVENT,
     "hook": ("program", "outcome", "duration_s", "message"),
     "finding": ("host", "check", "level", "message", "hint"),
@@ -92,7 +95,8 @@ ITEM_KEYS: KeysByName = {
     "robot": _HOST_DETAILS,
     "simulation": ("scenario", "reference", "assumptions", "notes", "schemes"),
     "task": (
-        "task", "taken_at", "spec", "runs", "standbys", "placement", "downtimes_s", "decision", "events",
+        "task", "taken_at", "spec", "runs", "standbys", "placement", "pin", "downtimes_s", "decision",
+        "events",
     ),
     "validation": ("edge_names", "robot_names", "task_names", "inventory_digest", "tasks_digest"),
     "version": ("edgectl", "python"),
@@ -139,6 +143,7 @@ INNER_KEYS: KeysByName = {
     "passes": _RESULT,
     "pending": ("task", "action", "host", "previous_host"),
     "phases": ("phase", "host", "duration_s", "ok", "detail"),
+    "pin": ("pinned_to", "pinned_at", "pinned_until"),
     "placement": ("host", "placed_at"),
     "latencies": (
         "p50_ms", "p95_ms", "p99_ms", "low_ms", "high_ms", "service_ms", "host_load", "waiting_ms",

@@ -21,6 +21,7 @@ _SHARE_COLUMNS = tuple(f"{resource.name}.share" for resource in HOST_RESOURCES)
 _HOST_COLUMNS = ("host", "status", *_CAPACITY_COLUMNS, "task_count")
 _WIDE_HOST_COLUMNS = ("address", *_SHARE_COLUMNS)
 _COLUMNS: Mapping[ListingKind, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    ListingKind.HOSTS: ((*_HOST_COLUMNS, "role", "labels"), _WIDE_HOST_COLUMNS),
     ListingKind.EDGES: ((*_HOST_COLUMNS, "labels"), _WIDE_HOST_COLUMNS),
     ListingKind.ROBOTS: ((*_HOST_COLUMNS, "onboard", "labels"), _WIDE_HOST_COLUMNS),
     ListingKind.TASKS: (
@@ -45,17 +46,17 @@ class ListingView(ListView):
 
     formats = FLEET_FORMATS
 
-    def __init__(self, listing: Listing) -> None:
-        self._listing = listing
+    def __init__(self, listing: Listing, *, headers: bool = True) -> None:
+        self._listing, self._headers = listing, headers
         self.kind = listing.kind.value.removesuffix("s")
 
     def table(self, look: RenderOptions = PLAIN) -> str:
         """One line per item."""
-        return _render_listing(self._listing, look, wide=False)
+        return _render_listing(self._listing, look, wide=False, headers=self._headers)
 
     def wide(self, look: RenderOptions = PLAIN) -> str:
         """The table with measurements and more declarations."""
-        return _render_listing(self._listing, look, wide=True)
+        return _render_listing(self._listing, look, wide=True, headers=self._headers)
 
     def items(self) -> Sequence[Document]:
         """The items as JSON types."""
@@ -72,6 +73,44 @@ class ListingView(ListView):
     def names(self) -> Sequence[str]:
         """KIND/NAME of each item."""
         return [item.name for item in self._listing.items]
+
+
+class AllListingsView(ListView):
+    """Listings of several kinds, each below its own headings; documents name the kind of each item."""
+
+    kind = "all"
+    formats = FLEET_FORMATS
+
+    def __init__(self, listings: Sequence[Listing], *, headers: bool = True) -> None:
+        self._listings, self._headers = listings, headers
+
+    def table(self, look: RenderOptions = PLAIN) -> str:
+        """One table after the other."""
+        return self._render(look, wide=False)
+
+    def wide(self, look: RenderOptions = PLAIN) -> str:
+        """The same with measurements and more declarations."""
+        return self._render(look, wide=True)
+
+    def _render(self, look: RenderOptions, *, wide: bool) -> str:
+        parts = (_render_listing(each, look, wide=wide, headers=self._headers) for each in self._listings)
+        return "\n".join(part for part in parts if part)
+
+    def items(self) -> Sequence[Document]:
+        """The items as JSON types, with the kind of each."""
+        return [
+            {"kind": item.name.partition("/")[0], **item.document}
+            for each in self._listings
+            for item in each.items
+        ]
+
+    def warnings(self) -> Sequence[str]:
+        """The notes of all listings, each once."""
+        return list(dict.fromkeys(note for each in self._listings for note in each.notes))
+
+    def names(self) -> Sequence[str]:
+        """KIND/NAME of each item."""
+        return [item.name for each in self._listings for item in each.items]
 
 
 class ListingChangesView(ListView):
@@ -129,10 +168,10 @@ def _list_listing_notes(value: Listing) -> list[str]:
     return [*([] if value.items else [f"no {value.kind}"]), *value.notes]
 
 
-def _render_listing(value: Listing, look: RenderOptions, *, wide: bool) -> str:
+def _render_listing(value: Listing, look: RenderOptions, *, wide: bool, headers: bool = True) -> str:
     return (
         render_columns(
-            _build_listing_rows(value, wide=wide),
+            _build_listing_rows(value, wide=wide)[0 if headers else 1 :],
             look,
             right=_find_number_columns(value.kind, wide=wide),
             wrap=_WRAPPED_COLUMNS,

@@ -36,6 +36,7 @@ from edgectl.views.usage import render_capacity_age
 class ListingKind(StrEnum):
     """The kinds that can be listed."""
 
+    HOSTS = "hosts"
     EDGES = "edges"
     ROBOTS = "robots"
     TASKS = "tasks"
@@ -65,7 +66,7 @@ class ListingItem:
     wide_cells: Row
     told: tuple[object, ...]
     document: Document
-    labels: Mapping[str, str]
+    labels: Mapping[str, str | tuple[str, ...]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,6 +88,9 @@ _UNKNOWN_SOURCE = Cell("unknown", "warn")
 def build_listing(kind: ListingKind, value: Snapshot, inventory: Inventory, tasks: Tasks) -> Listing:
     """Everything of a kind: the declarations of the files, and what hosts report beyond them."""
     build: Mapping[ListingKind, Callable[[], Iterator[ListingItem]]] = {
+        ListingKind.HOSTS: lambda: (
+            _build_host_item(host, value, (host.role.value,)) for host in inventory.hosts.values()
+        ),
         ListingKind.EDGES: lambda: (_build_host_item(host, value, ()) for host in inventory.edges),
         ListingKind.ROBOTS: lambda: (
             _build_host_item(host, value, ("yes" if host.onboard else "no",)) for host in inventory.robots
@@ -143,7 +147,12 @@ def _build_host_item(host: Host, value: Snapshot, extra: Row) -> ListingItem:
         ),
         told=(status.text, *capacity, *extra, labels),
         document=encode_host_row(host.name, value, host),
-        labels=host.labels,
+        labels={
+            "host": host.name,
+            "kind": host.role.value,
+            "state": status.text.partition(",")[0],
+            **host.labels,
+        },
     )
 
 
@@ -173,7 +182,7 @@ def _build_running_task_item(
     return ListingItem(
         path=f"{name} on {host}",
         name=f"task/{name}",
-        aliases=(name,),
+        aliases=(name, *((task.template,) if task is not None else ())),
         row=(Cell(name, "name"), host, state, restarts, "-" if age is None else format_duration(age)),
         wide_cells=(
             *_format_spec_columns(task),
@@ -182,7 +191,7 @@ def _build_running_task_item(
         ),
         told=(host, state.text, restarts, sample.instance, *_format_spec_columns(task)),
         document=encode_run_row(name, host, sample, demand, value) | _encode_spec_columns(task),
-        labels=_collect_task_labels(task),
+        labels=_collect_task_labels(task, host, sample.state.value),
     )
 
 
@@ -193,12 +202,12 @@ def _build_standby_item(run: tuple[str, str, TaskSample], value: Snapshot, tasks
     return ListingItem(
         path=f"{name} on {host}",
         name=f"task/{name}",
-        aliases=(name,),
+        aliases=(name, *((task.template,) if task is not None else ())),
         row=(Cell(name, "name"), host, state, restarts, "-" if age is None else format_duration(age)),
         wide_cells=(*_format_spec_columns(task), str(copy.pid or "-"), metrics.format_metrics(copy.metrics)),
         told=(host, state.text, restarts, copy.instance, *_format_spec_columns(task)),
         document=encode_standby_row(name, host, copy, {}, value) | _encode_spec_columns(task),
-        labels=_collect_task_labels(task),
+        labels=_collect_task_labels(task, host, "standby"),
     )
 
 
@@ -208,12 +217,12 @@ def _build_absent_task_item(task: Task, value: Snapshot) -> ListingItem:
     return ListingItem(
         path=f"{task.name} on -",
         name=f"task/{task.name}",
-        aliases=(task.name,),
+        aliases=(task.name, task.template),
         row=(Cell(task.name, "name"), known.host or "-", state, "-", "-"),
         wide_cells=(*_format_spec_columns(task), "-", "-"),
         told=(known.host, known.state, *_format_spec_columns(task)),
         document=encode_absent_row(task, value) | _encode_spec_columns(task),
-        labels=_collect_task_labels(task),
+        labels=_collect_task_labels(task, known.host, known.state),
     )
 
 
@@ -237,8 +246,20 @@ def _encode_spec_columns(task: Task | None) -> Document:
     }
 
 
-def _collect_task_labels(task: Task | None) -> Mapping[str, str]:
-    return {} if task is None else {**task.labels, "task": task.template}
+def _collect_task_labels(
+    task: Task | None, host: str | None, state: str
+) -> Mapping[str, str | tuple[str, ...]]:
+    """The labels of a task, and those that follow: task (its entry), kind, robot, host, state.
+
+    Its own win.
+    """
+    seen: dict[str, str | tuple[str, ...]] = {
+        "host": () if host is None else host,
+        "state": state.replace(" ", "-"),
+    }
+    if task is None:
+        return seen
+    return {**seen, "task": task.template, "kind": task.kind.value, "robot": task.robots, **task.labels}
 
 
 def _build_link_items(value: Snapshot, inventory: Inventory) -> Iterator[ListingItem]:
@@ -274,5 +295,5 @@ def _build_link_item(edge: str, robot: str, link: LinkSample | None, value: Snap
             "taken_at": format_instant(value.taken_at),
             **(encode_link_sample(link) if link else {}),
         },
-        labels={},
+        labels={"host": edge, "robot": robot},
     )

@@ -157,3 +157,64 @@ def test_describe_ends_with_the_last_events(run: Run, site: Path) -> None:
     assert run("describe", "task", "slam-robot9").err.startswith(
         "error: unknown task 'slam-robot9'\nhint: did you mean slam-robot"
     )
+
+
+def test_get_hosts_and_all(run: Run, site: Path) -> None:
+    said = run("get", "hosts")
+    rows = [line.split() for line in said.out.splitlines()]
+    assert [row[0] for row in rows] == ["HOST", *HOSTS]
+    assert rows[0][-2:] == ["ROLE", "LABELS"]
+    assert [row[-2] for row in rows[1:]] == ["edge"] * 3 + ["robot"] * 3
+    every = run("get", "all", "-o", "json")
+    kinds = [item["kind"] for item in json.loads(every.out)["items"]]
+    assert {kind: kinds.count(kind) for kind in kinds} == {"edge": 3, "robot": 3, "task": 10, "link": 9}
+    headings = [line.split()[0] for line in run("get", "all").out.split("\n\n")]
+    assert headings == ["HOST", "TASK", "EDGE"]
+    assert run("get", "all", "edge1").code == run("get", "all", "--field", "host").code == 64
+
+
+def test_one_field_sorting_and_no_headings(run: Run, site: Path) -> None:
+    """Names sort as people sort them, and what lacks the key comes last."""
+    assert run("get", "robots", "--field", "host").out == "robot1\nrobot2\nrobot3\n"
+    assert run("get", "robots", "--field", "cpu.capacity_cores").out == "0.1\n" * 3
+    assert run("get", "tasks", "task/map-merge", "--field", "host").out == "-\n"
+    wrong = run("get", "edges", "--field", "cpu.capacity_core")
+    assert (wrong.code, wrong.err) == (
+        64,
+        "error: unknown key of -o json 'cpu.capacity_core'\nhint: did you mean cpu.capacity_cores?\n",
+    )
+    assert "no single value" in run("get", "edges", "--sort-by", "cpu").err
+    found = run("get", "hosts", "--sort-by", "memory.capacity_bytes", "-o", "name").out.split()
+    assert [name.partition("/")[0] for name in found] == ["robot"] * 3 + ["edge"] * 3
+    rows = run("get", "hosts", "--no-headers", "--sort-by", "host").out.splitlines()
+    assert [row.split()[0] for row in rows] == HOSTS
+
+
+def test_selectors_know_what_follows_from_the_files_and_the_state(run: Run, site: Path) -> None:
+    def named(*words: str) -> list[str]:
+        return run("get", *words, "-o", "name").out.split()
+
+    assert named("tasks", "-l", "robot=robot2") == [
+        "task/detection-robot2",
+        "task/map-merge",
+        "task/navigation-robot2",
+        "task/slam-robot2",
+    ]
+    assert named("tasks", "-l", "robot=robot2,task!=detection,robot notin (robot3)") == [
+        "task/navigation-robot2",
+        "task/slam-robot2",
+    ]
+    assert named("tasks", "-l", "host") == []
+    assert len(named("tasks", "-l", "kind=service,state=not-running")) == 10
+    assert named("hosts", "-l", "kind=robot,state=ok,host!=robot1") == ["robot/robot2", "robot/robot3"]
+    assert named("links", "-l", "robot=robot1,host in (edge1,edge3)") == [
+        "link/edge1/robot1",
+        "link/edge3/robot1",
+    ]
+    assert named("tasks", "detection") == [f"task/detection-robot{number}" for number in (1, 2, 3)]
+
+
+def test_names_as_they_are_printed_are_taken_back(run: Run, site: Path) -> None:
+    for kind in ("hosts", "edges", "robots", "tasks", "links"):
+        names = run("get", kind, "-o", "name").out.split()
+        assert run("get", kind, *names, "-o", "name").out.split() == names

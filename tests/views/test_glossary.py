@@ -20,6 +20,7 @@ from edgectl.model.resource import RESOURCES
 from edgectl.rules.awaited_state import AwaitedState, TaskProgress
 from edgectl.views.byte_counters import ByteCountersView
 from edgectl.views.diagnosis import DiagnosisView
+from edgectl.views.diff import DiffView
 from edgectl.views.dry_run import RequestsView
 from edgectl.views.events import EventsView
 from edgectl.views.explanation import ExplanationView
@@ -27,7 +28,7 @@ from edgectl.views.glossary import KeyEntry, KeyType, list_keys
 from edgectl.views.history import HistoryView, RevisionView
 from edgectl.views.hook_trials import HookTrialsView
 from edgectl.views.host_keys import HostKeysView
-from edgectl.views.listing import ListingChangesView
+from edgectl.views.listing import AllListingsView, ListingChangesView
 from edgectl.views.listing_items import ListingKind, compare_listings
 from edgectl.views.output import EnvelopeView, ItemView, ListView, View
 from edgectl.views.profile import ProfileView
@@ -53,7 +54,7 @@ from tests.views import (
     test_standbys,
     test_top,
 )
-from tests.views.fixtures import ROOT
+from tests.views.fixtures import ROOT, plan
 from tests.views.outputs_page import render_outputs_page
 
 GLOSSARY = {entry.key: entry for entry in list_keys()}
@@ -62,6 +63,10 @@ REQUEST = {"host": "edge1", "phase": "start", "task": "slam", "command": "python
 
 def list_views() -> Iterator[View]:
     yield from (view for what, view in test_forms.views().items() if what not in ("plan", "snapshot"))
+    yield DiffView(plan())
+    yield AllListingsView(
+        [test_listing.listed(kind) for kind in (ListingKind.HOSTS, ListingKind.TASKS, ListingKind.LINKS)]
+    )
     yield from map(test_describe.host_view, ("edge1", "edge2", "robot1"))
     yield from (test_describe.task_view(), test_describe.task_view("idle"))
     yield from (test_top.hosts_view(), test_top.tasks_view(test_top.saying()))
@@ -171,6 +176,7 @@ NOT_IN_THE_SAMPLES = {
     "retries_per_s", "access_point", "joined_s", "counters",
     "latency", "count", "misses", "bound_ms", "p50_ms", "p95_ms", "p99_ms", "max_ms", "recent_s", "recent_count", "recent_misses",
     "object", "type", "speed_bytes_per_s", "resident", "user", "hold", "release", "proxy_jump", "cut_off_from",
+    "pinned_at", "pinned_until",
 }  # fmt: skip
 
 

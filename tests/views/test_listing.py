@@ -163,7 +163,8 @@ def test_documents(kind: ListingKind) -> None:
     assert (document["format_version"], document["kind"]) == (2, kind.removesuffix("s"))
     assert {item["taken_at"] for item in document["items"]} == {"2025-11-21T01:53:20Z"}
     assert yaml.safe_load(shown(kind, OutputFormat.YAML)) == document
-    assert shown(kind, OutputFormat.NAME).splitlines()[0].startswith(kind.removesuffix("s") + "/")
+    first = "edge" if kind is ListingKind.HOSTS else kind.removesuffix("s")
+    assert shown(kind, OutputFormat.NAME).splitlines()[0].startswith(first + "/")
 
 
 def test_a_document_has_declarations_and_measurements() -> None:
