@@ -50,7 +50,7 @@ LIST_KEYS: KeysByName = {
     "all": ("kind", *dict.fromkeys((*_HOST, *_TASK, *_LINK))),
     "host": _HOST,
     "event": _EVENT,
-    "hook": ("program", "outcome", "duration_s", "message"),
+    "hook": ("command", "outcome", "duration_s", "message"),
     "finding": ("host", "check", "level", "message", "hint"),
     "host-usage": (*_HOST, "history"),
     "host-key": ("host", "key_type", "fingerprint", "state", "error", "hint"),
