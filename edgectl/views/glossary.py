@@ -394,6 +394,7 @@ HEADINGS = _list_amount_headings() | {
     "capacity_source": "SOURCE",
     "check": "CHECK",
     "class": "CLASS",
+    "command": "COMMAND",
     "counters": "COUNTERS",
     "counts": "ACTIONS",
     "cpu.capacity_cores": "CORES",
