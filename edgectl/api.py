@@ -11,12 +11,8 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from edgectl.cli.user_files import (
-    choose_task_paths,
-    refuse_exposed_files,
-    resolve_inventory_path,
-    select_exposed,
-)
+from edgectl.cli.project import choose_files
+from edgectl.cli.user_files import list_task_paths, refuse_exposed_files, select_exposed
 from edgectl.config.documents import load_snapshot
 from edgectl.errors import EdgectlError, InputError, UsageError
 from edgectl.model.cycle import Cycle
@@ -83,7 +79,7 @@ class Fleet:
     @classmethod
     def load(
         cls,
-        inventory: str | Path | None = None,
+        inventory: str | Path | Sequence[str | Path] | None = None,
         tasks: str | Path | Sequence[str | Path] | None = None,
         *,
         accept_new: bool = False,
@@ -104,14 +100,17 @@ class Fleet:
         from edgectl.state.fleet_dir import ensure_fleet_dir
         from edgectl.usecases.open_fleet import open_fleet
 
-        path = resolve_inventory_path(None if inventory is None else Path(inventory))
-        stated, work, problems = load_inventory_and_tasks(path, _list_task_paths(tasks))
+        chosen = choose_files(_list_paths(inventory), _list_paths(tasks))
+        without_tasks = tasks is not None and not _list_paths(tasks)
+        stated, work, problems = load_inventory_and_tasks(
+            chosen.inventories, [] if without_tasks else list_task_paths(chosen)
+        )
         exposed = select_exposed(problems)
         refuse_exposed_files(exposed)
         for problem in problems:
             if problem not in exposed:
                 warn(f"{problem.file}:{problem.line}: {problem.message} ({problem.code})")
-        state = ensure_fleet_dir(stated.fleet, path)
+        state = ensure_fleet_dir(stated.fleet, chosen.inventories[0])
         ports = open_fleet(stated, work, state, warn=warn, accept_new=accept_new)
         return cls(ports if transport is None else dataclasses.replace(ports, transport=transport))
 
@@ -238,8 +237,7 @@ def _require_solver() -> None:
         ) from None
 
 
-def _list_task_paths(tasks: str | Path | Sequence[str | Path] | None) -> list[Path]:
-    if tasks is None:
-        return choose_task_paths(None)
-    given = [tasks] if isinstance(tasks, str | Path) else tasks
-    return choose_task_paths([Path(each) for each in given]) if given else []
+def _list_paths(given: str | Path | Sequence[str | Path] | None) -> list[Path] | None:
+    if given is None:
+        return None
+    return [Path(each) for each in ([given] if isinstance(given, str | Path) else given)]

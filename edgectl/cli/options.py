@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, get_origin
 from typer import Argument, Option
 
 from edgectl.cli.completion import complete_hosts, complete_tasks
+from edgectl.cli.project import PreferredOutput
 from edgectl.dataclass import dataclass
 from edgectl.model.policy import PolicyName
 from edgectl.views.output_format import (
@@ -24,17 +25,16 @@ from edgectl.views.output_format import (
     Formats,
     OutputFormat,
     check_output_format,
+    is_supported,
 )
 
 InventoryOption = Annotated[
-    Path | None,
+    list[Path] | None,
     Option(
         "--inventory",
         "-i",
         metavar="FILE",
-        envvar="EDGECTL_INVENTORY",
-        show_envvar=False,
-        help="$EDGECTL_INVENTORY, or the one in inventories/.",
+        help="Default: edgectl.yaml, else inventories/; repeatable.",
     ),
 ]
 TasksOption = Annotated[
@@ -43,9 +43,7 @@ TasksOption = Annotated[
         "--tasks",
         "-t",
         metavar="PATH",
-        envvar="EDGECTL_TASKS",
-        show_envvar=False,
-        help="$EDGECTL_TASKS, or the one in tasks/; repeatable.",
+        help="Default: edgectl.yaml, else tasks/; repeatable.",
     ),
 ]
 
@@ -54,6 +52,8 @@ def build_output_option(forms: Formats) -> object:
     """``-o`` of a command whose view offers ``forms``. Any other is a UsageError that lists them."""
 
     def form(text: str) -> OutputFormat:
+        if isinstance(text, PreferredOutput) and not is_supported(text, forms):
+            return forms[0]
         return check_output_format(text, forms)
 
     def beginning(incomplete: str) -> list[str]:
@@ -89,7 +89,8 @@ WeightsOption = Annotated[
     Option("--weights", "-W", metavar="WEIGHTS", help="cpu, memory, network, task, all, or cpu=.5,task=1."),
 ]
 PolicyOption = Annotated[
-    PolicyName | None, Option("--policy", metavar="NAME", help="utility, paper, static or local.")
+    PolicyName | None,
+    Option("--policy", metavar="NAME", help="utility, static, local, least-loaded, pack, random, .."),
 ]
 BestEffortOption = Annotated[bool, Option("--best-effort", help="Place a task even where it does not fit.")]
 PruneOption = Annotated[bool, Option("--prune", help="Also stop the tasks of other task files.")]

@@ -10,45 +10,66 @@ from typing import Any
 
 import simpy
 
-from edgectl.executor.diff import plan_from_assignment
+from edgectl.executor.diff import diff_assignment
+from edgectl.experiments.model.mission_event import select_present_tasks
 from edgectl.experiments.model.scenario import Scenario, SimJob, SimRun
+from edgectl.experiments.simulator_events import start_events
+from edgectl.experiments.simulator_probe import simulate_probe
 from edgectl.experiments.simulator_state import (
     HostMeter,
     NormalDraw,
     SimState,
     SimTask,
+    SimWork,
+    UniformDraw,
     compute_host_usage,
     integrate_loads,
-    simulate_probe,
+    list_external_placements,
+    notify_change,
     update_speeds,
 )
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import Placement
-from edgectl.model.plan import Action, Plan, Step
-from edgectl.model.policy import Policy, PolicyName
+from edgectl.model.plan import Action, Step
+from edgectl.model.policy import Policy
 from edgectl.model.task import Task, Tasks
 from edgectl.scheduler.assign import assign
 
 
+def draw_no_jitter(_stream: str) -> float:
+    """The draw under which events happen at once."""
+    return 0.0
+
+
 def simulate_mission(
-    inventory: Inventory, tasks: Tasks, scenario: Scenario, policy: Policy, draw_normal: NormalDraw
+    inventory: Inventory,
+    tasks: Tasks,
+    scenario: Scenario,
+    policy: Policy,
+    draw_normal: NormalDraw,
+    draw_uniform: UniformDraw = draw_no_jitter,
 ) -> SimRun:
-    """One run of the mission under ``policy``; the same draws from ``draw_normal`` give the same run."""
+    """One run of the mission under ``policy``; the same draws give the same run.
+
+    ``draw_uniform`` has a stream for each event, so that events come alike whatever else is drawn.
+    """
     env = simpy.Environment()
     state = SimState(
         env=env,
         inventory=inventory,
-        tasks=tasks,
+        tasks=select_present_tasks(tasks, scenario.events, ()),
         scenario=scenario,
         policy=replace(policy, attended=False),
+        all_tasks=tasks,
         draw_normal=draw_normal,
+        draw_uniform=draw_uniform,
         changed=env.event(),
         reference=inventory.edges[0].name,
         meters={host: HostMeter() for host in scenario.hosts},
     )
     for job in scenario.jobs:
         state.left[job.task] = state.left.get(job.task, 0) + 1
-    for name, host in _list_external_placements(state):
+    for name, host in list_external_placements(state):
         state.services[name] = SimTask(task=tasks.tasks[name], host=host, since=0.0, ready=True)
     update_speeds(state)
     done: dict[str, simpy.Process] = {}
@@ -56,6 +77,7 @@ def simulate_mission(
     for job in _sort_jobs(scenario.jobs):
         work = job.work * math.exp(draw_normal() * job.spread) if job.spread else job.work
         done[job.name] = env.process(_run_job(state, job, work, [done[name] for name in job.after], ends))
+    start_events(state)
     env.process(_run_manager(state))
     env.run(
         until=simpy.AnyOf(env, [simpy.AllOf(env, list(done.values())), env.timeout(scenario.timing.limit)])
@@ -69,14 +91,8 @@ def simulate_mission(
         unplaced=state.unplaced,
         usage={host: compute_host_usage(state, host) for host in scenario.hosts},
         jobs=ends,
+        events=tuple(state.records),
     )
-
-
-def _list_external_placements(state: SimState) -> Iterable[tuple[str, str]]:
-    """(task, host) of unmanaged tasks: as in the scenario, or on the robot under local execution."""
-    for name, host in state.scenario.placed.items():
-        robots = state.tasks.tasks[name].robots
-        yield name, robots[0] if state.policy.name is PolicyName.LOCAL and robots else host
 
 
 def _sort_jobs(jobs: Iterable[SimJob]) -> list[SimJob]:
@@ -95,15 +111,32 @@ def _run_job(
     state: SimState, job: SimJob, work: float, before: list[simpy.Process], ends: dict[str, float]
 ) -> Generator[Any, Any, None]:
     """Work off a job at the current speed of its task."""
+    robots = state.all_tasks.tasks[job.task].robots
+    robot = robots[0] if len(robots) == 1 else None
+    if robot is not None:
+        state.robot_work[robot] = state.robot_work.get(robot, 0.0) + work
     yield simpy.AllOf(state.env, before)
+    part = state.working[job.name] = SimWork(task=job.task, robot=robot, since=state.env.now)
+    if state.scenario.events:
+        notify_change(state)
     while work > 1e-9:
-        speed, began = state.speeds.get(job.task, 0.0), state.env.now
+        part.speed, part.since = state.speeds.get(job.task, 0.0), state.env.now
         changed = state.changed
-        yield simpy.AnyOf(state.env, [changed, state.env.timeout(work / speed)]) if speed > 0 else changed
-        work -= speed * (state.env.now - began)
+        yield (
+            simpy.AnyOf(state.env, [changed, state.env.timeout(work / part.speed)])
+            if part.speed > 0
+            else changed
+        )
+        done = part.speed * (state.env.now - part.since)
+        work -= done
+        part.since = state.env.now
+        if robot is not None:
+            state.robot_done[robot] = state.robot_done.get(robot, 0.0) + done
+    del state.working[job.name]
     ends[job.name] = state.env.now
     state.left[job.task] -= 1
-    if state.scenario.links:
+    state.samples.clear()
+    if state.scenario.links or state.scenario.events:
         integrate_loads(state)
         state.done.add(job.name)
         update_speeds(state)
@@ -113,20 +146,27 @@ def _run_manager(state: SimState) -> Generator[Any, Any, None]:
     """The manager's endless loop: probe, plan, apply, wait."""
     while True:
         plan = _plan_cycle(state)
-        state.unplaced += plan.summary.get(Action.UNPLACED, 0)
-        actions = [state.env.process(_run_step(state, step)) for step in plan.steps if step.action.changes]
+        state.unplaced += sum(step.action is Action.UNPLACED for step in plan)
+        steps = [step for step in plan if step.action.changes]
+        state.starting = {step.task for step in steps if step.decision.host is not None}
+        actions = [state.env.process(_run_step(state, step)) for step in steps]
         yield simpy.AllOf(state.env, actions)
         yield state.env.timeout(state.scenario.timing.every)
 
 
-def _plan_cycle(state: SimState) -> Plan:
+def _plan_cycle(state: SimState) -> tuple[Step, ...]:
     snapshot = simulate_probe(state)
-    assignment = assign(state.inventory, state.tasks, snapshot, state.manager, state.policy, state.env.now)
-    return plan_from_assignment(state.inventory, state.tasks, snapshot, state.manager, assignment)
+    assignment = assign(
+        state.inventory, state.tasks, snapshot, state.manager, state.policy, state.env.now, explain=False
+    )
+    return diff_assignment(assignment, state.tasks, snapshot, state.manager)
 
 
 def _run_step(state: SimState, step: Step) -> Generator[Any, Any, None]:
-    """Apply one step of the plan: stop the task, then start it once its needs are ready."""
+    """Apply one step of the plan: stop the task, then start it once its needs are ready.
+
+    A host that is lost meanwhile ends the step: nothing was stopped, or nothing runs.
+    """
     timing, began = state.scenario.timing, state.env.now
     old = state.services.get(step.task)
     if old is not None:
@@ -135,25 +175,42 @@ def _run_step(state: SimState, step: Step) -> Generator[Any, Any, None]:
         update_speeds(state)
         yield state.env.timeout(timing.stop)
         integrate_loads(state)
-        del state.services[step.task]
+        state.services.pop(step.task, None)
         update_speeds(state)
-    if step.action in (Action.STOP, Action.COMPLETE) or step.decision.host is None:
+    host = step.decision.host
+    if step.action in (Action.STOP, Action.COMPLETE) or host is None:
+        state.starting.discard(step.task)
         _remove_placement(state, step.task, completed=step.action is Action.COMPLETE)
         return
-    task = state.tasks.tasks[step.task]
+    yield from _start_task(state, step.task, host)
+    state.starting.discard(step.task)
+    service = state.services.get(step.task)
+    if service is not None and old is not None:
+        state.handoffs += old.host != host
+        _record_downtime(state, step.task, host, state.env.now - began)
+    update_speeds(state)
+
+
+def _start_task(state: SimState, name: str, host: str) -> Generator[Any, Any, None]:
+    """Start a task once its needs are ready, unless one of them cannot become so or the host is off."""
+    task = state.tasks.tasks[name]
     while not all(_is_need_ready(state, need.task) for need in task.needs):
+        if not all(_can_become_ready(state, need.task) for need in task.needs):
+            return
         yield state.changed
+    if host in state.overlay.lost:
+        return
     integrate_loads(state)
-    state.services[step.task] = SimTask(task=task, host=step.decision.host, since=state.env.now)
-    _record_placement(state, task, step.decision.host)
+    service = state.services[name] = SimTask(task=task, host=host, since=state.env.now)
+    _record_placement(state, task, host)
     update_speeds(state)
-    yield state.env.timeout(timing.start)
+    yield state.env.timeout(state.scenario.timing.start)
     integrate_loads(state)
-    state.services[step.task].ready = True
-    if old is not None:
-        state.handoffs += old.host != step.decision.host
-        _record_downtime(state, step.task, step.decision.host, state.env.now - began)
-    update_speeds(state)
+    service.ready = True
+
+
+def _can_become_ready(state: SimState, need: str) -> bool:
+    return need in state.services or need in state.starting or need in state.manager.done
 
 
 def _is_need_ready(state: SimState, need: str) -> bool:

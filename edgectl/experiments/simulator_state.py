@@ -1,29 +1,21 @@
-"""State of a simulation: fair shares of processors and links, task speeds, usage meters, simulated probes."""
+"""State of a simulation: fair shares of processors and links, task speeds, usage meters."""
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import simpy
 
+from edgectl.experiments.model.mission_event import EventRecord, HostLoad, MissionEvent
 from edgectl.experiments.model.scenario import Scenario, SimHostUsage
 from edgectl.model.demand import ZERO
 from edgectl.model.inventory import Inventory, Role
-from edgectl.model.link_reading import LinkHistory, LinkObservation, LinkSampleResult
+from edgectl.model.link_reading import LinkHistory
 from edgectl.model.manager_state import ManagerState
-from edgectl.model.policy import Policy
-from edgectl.model.resource import CPU, MEMORY, Usage
-from edgectl.model.snapshot import (
-    HostSample,
-    HostStatus,
-    LinkSample,
-    ResourceUsage,
-    Snapshot,
-    TaskSample,
-    TaskState,
-)
+from edgectl.model.policy import Policy, PolicyName
+from edgectl.model.resource import CPU, MEMORY, NETWORK
+from edgectl.model.snapshot import LinkSample, TaskSample
 from edgectl.model.task import Task, Tasks
-from edgectl.rules.live_links import add_sample, apply_live_capacities, choose_links_to_probe, observe_link
 
 
 def compute_fair_shares(capacity: float, demands: Mapping[str, float]) -> dict[str, float]:
@@ -47,11 +39,12 @@ def compute_fair_shares(capacity: float, demands: Mapping[str, float]) -> dict[s
 
 # A draw from the standard normal distribution.
 NormalDraw = Callable[[], float]
+# A draw from 0 to 1, out of the stream of this name.
+UniformDraw = Callable[[str], float]
 # Capacity of a link without one in the inventory: 54 Mbit/s, the default of the gateway.
 _DEFAULT_LINK_BYTES_PER_S = 6.75e6
-_BASE_LOAD_NAME = ""
-# Standard deviation of the logarithm of what a probe of an idle link reads.
-_PROBE_SPREAD = 0.05
+# No name of a task begins so.
+_BASE_LOAD_NAME = " "
 
 
 @dataclass(slots=True, kw_only=True)
@@ -77,13 +70,50 @@ class HostMeter:
 
 
 @dataclass(slots=True, kw_only=True)
+class Overlay:
+    """What the events of now change: loads by host, bytes/s and added round trips (s) by (edge, robot), hosts
+    that do not answer, demands by task and resource.
+    """
+
+    loads: dict[str, list[HostLoad]] = field(default_factory=dict)
+    throughputs: dict[tuple[str, str], float] = field(default_factory=dict)
+    delays: dict[tuple[str, str], float] = field(default_factory=dict)
+    lost: set[str] = field(default_factory=set)
+    demands: dict[str, dict[str, float]] = field(default_factory=dict)
+
+
+@dataclass(slots=True, kw_only=True)
+class SimWork:
+    """A job that is worked on: the speed of its task ``since`` then, and the robot that it serves alone."""
+
+    task: str
+    robot: str | None
+    since: float
+    speed: float = 0.0
+
+
+class SimSample(NamedTuple):
+    """What a probe of one host shows: cores and bytes in use, and samples of links and tasks."""
+
+    cpu: float
+    memory: float
+    links: Mapping[str, LinkSample]
+    tasks: Mapping[str, TaskSample]
+
+
+@dataclass(slots=True, kw_only=True)
 class SimState:
     """The mutable state of one run.
 
     By task: ``cores`` and ``rates`` (bytes/s by robot) are its current shares, ``speeds`` its current speed,
-    0..1; ``left`` counts its unfinished jobs. ``done``: jobs that are over, where links depend on them.
+    0..1; ``left`` counts its unfinished jobs. ``done``: jobs that are over, where links or events depend on
+    them.
     ``histories``: readings of links by (edge, robot). ``reference``: the first edge, whose capacity scales
-    relative demands.
+    relative demands. ``tasks``: those that have entered, of ``all_tasks``. ``starting``: tasks that a step of
+    the plan is about to start. ``happening``: events of which the change holds, by name, as ``overlay`` has
+    them; ``happened``: all that ever did. ``working``: jobs in progress; ``robot_work`` and ``robot_done``:
+    work by robot, in s, of all its jobs and of those parts of them that are done. ``samples``: what a probe
+    of each host shows until the next change, but for noise.
     """
 
     env: simpy.Environment
@@ -106,13 +136,32 @@ class SimState:
     metered_at: float = 0.0
     handoffs: int = 0
     unplaced: int = 0
+    all_tasks: Tasks = Tasks(tasks={})
+    draw_uniform: UniformDraw = lambda _: 0.0
+    starting: set[str] = field(default_factory=set)
+    overlay: Overlay = field(default_factory=Overlay)
+    happening: dict[str, MissionEvent] = field(default_factory=dict)
+    happened: set[str] = field(default_factory=set)
+    records: list[EventRecord] = field(default_factory=list)
+    working: dict[str, SimWork] = field(default_factory=dict)
+    robot_work: dict[str, float] = field(default_factory=dict)
+    robot_done: dict[str, float] = field(default_factory=dict)
+    samples: dict[str, SimSample] = field(default_factory=dict)
+
+
+def list_external_placements(state: SimState) -> Iterable[tuple[str, str]]:
+    """(task, host) of unmanaged tasks: as in the scenario, or on the robot under local execution."""
+    for name, host in state.scenario.placed.items():
+        if name in state.tasks.tasks:
+            robots = state.tasks.tasks[name].robots
+            yield name, robots[0] if state.policy.name is PolicyName.LOCAL and robots else host
 
 
 def update_speeds(state: SimState) -> None:
     """Recompute all speeds. Before a service changes, `integrate_loads` has to meter the time until then."""
     state.cores, state.rates, state.speeds = {}, {}, {}
-    for host in state.scenario.hosts:
-        services = {name: service for name, service in state.services.items() if service.host == host}
+    state.samples.clear()
+    for host, services in _group_services(state).items():
         _share_host_resources(state, host, services)
     for name, service in state.services.items():
         demand = _compute_demand_cores(state, service)
@@ -122,6 +171,19 @@ def update_speeds(state: SimState) -> None:
             for robot, rate in state.rates[name].items()
         ]
         state.speeds[name] = min(shares, default=1.0) if service.ready else 0.0
+    notify_change(state)
+
+
+def _group_services(state: SimState) -> dict[str, dict[str, SimTask]]:
+    """The services of each host that has some, in the order of the hosts."""
+    found: dict[str, dict[str, SimTask]] = {host: {} for host in state.scenario.hosts}
+    for name, service in state.services.items():
+        found[service.host][name] = service
+    return {host: services for host, services in found.items() if services}
+
+
+def notify_change(state: SimState) -> None:
+    """Wake what waits for a change."""
     state.changed.succeed()
     state.changed = state.env.event()
 
@@ -130,34 +192,41 @@ def _share_host_resources(state: SimState, host: str, services: Mapping[str, Sim
     """Share the CPU and the links of one host. A starting task uses CPU already, but no link."""
     machine = state.scenario.hosts[host]
     demands = {name: _compute_demand_cores(state, service) for name, service in services.items()}
-    shares_by_name = compute_fair_shares(machine.cores, {**demands, _BASE_LOAD_NAME: machine.base_cores})
-    state.cores |= {name: shares_by_name[name] for name in demands}
-    state.rates |= {name: {} for name in services}
-    for robot in dict.fromkeys(
-        robot for service in services.values() for robot in _list_remote_robots(state, service)
-    ):
+    others = {
+        f"{_BASE_LOAD_NAME}{number}": load.cpu
+        for number, load in enumerate(state.overlay.loads.get(host, ()), start=1)
+    }
+    shares_by_name = compute_fair_shares(
+        machine.cores, {**demands, **others, _BASE_LOAD_NAME: machine.base_cores}
+    )
+    state.cores.update((name, shares_by_name[name]) for name in demands)
+    state.rates.update((name, {}) for name in services)
+    if state.inventory.hosts[host].role is Role.ROBOT:
+        return  # a task on a robot needs no link
+    for robot in dict.fromkeys(robot for service in services.values() for robot in service.task.robots):
         rates = {
             name: _compute_demand_bytes_per_s(state, service, robot)
             for name, service in services.items()
-            if service.ready and robot in _list_remote_robots(state, service)
+            if service.ready and robot in service.task.robots
         }
-        for name, rate in compute_fair_shares(_get_link_bytes_per_s(state, host, robot), rates).items():
+        for name, rate in compute_fair_shares(get_link_bytes_per_s(state, host, robot), rates).items():
             if rates[name] > 0:
                 state.rates[name][robot] = rate
 
 
-def _list_remote_robots(state: SimState, service: SimTask) -> tuple[str, ...]:
-    """Robots that the task reaches over a link; none for a task on a robot."""
-    return () if state.inventory.hosts[service.host].role is Role.ROBOT else service.task.robots
-
-
-def _get_nominal_bytes_per_s(state: SimState, host: str, robot: str) -> float:
+def get_nominal_bytes_per_s(state: SimState, host: str, robot: str) -> float:
+    """What the link carries by the inventory, bytes/s."""
     return state.inventory.links.get((host, robot), _DEFAULT_LINK_BYTES_PER_S)
 
 
-def _get_link_bytes_per_s(state: SimState, host: str, robot: str) -> float:
-    """What the link carries now."""
-    found = _get_nominal_bytes_per_s(state, host, robot)
+def get_link_bytes_per_s(state: SimState, host: str, robot: str) -> float:
+    """What the link carries now; nothing where one of its ends is off."""
+    overlay = state.overlay
+    if overlay.lost and not overlay.lost.isdisjoint((host, robot)):
+        return 0.0
+    if (host, robot) in overlay.throughputs:
+        return overlay.throughputs[host, robot]
+    found = get_nominal_bytes_per_s(state, host, robot)
     for change in state.scenario.links:
         if (change.edge, change.robot) == (host, robot) and state.done.issuperset(change.after):
             found = change.throughput
@@ -169,17 +238,25 @@ def _compute_demand_cores(state: SimState, service: SimTask) -> float:
 
     A relative demand is a share of the first edge, where it was measured, on every host.
     """
+    changed = state.overlay.demands.get(service.task.name)
+    if changed is not None and CPU.name in changed:
+        return changed[CPU.name]
     return (service.task.demand["cpu"] or ZERO).of(state.scenario.hosts[state.reference].cores)
 
 
-def _compute_demand_bytes(state: SimState, service: SimTask) -> float:
+def compute_demand_bytes(state: SimState, service: SimTask) -> float:
+    """Memory that the task uses, in bytes."""
+    changed = state.overlay.demands.get(service.task.name)
+    if changed is not None and MEMORY.name in changed:
+        return changed[MEMORY.name]
     return (service.task.demand["memory"] or ZERO).of(state.scenario.hosts[state.reference].memory)
 
 
 def _compute_demand_bytes_per_s(state: SimState, service: SimTask, robot: str) -> float:
-    return (service.task.demand["network"] or ZERO).of(
-        _get_nominal_bytes_per_s(state, state.reference, robot)
-    )
+    changed = state.overlay.demands.get(service.task.name)
+    if changed is not None and NETWORK.name in changed:
+        return changed[NETWORK.name]
+    return (service.task.demand["network"] or ZERO).of(get_nominal_bytes_per_s(state, state.reference, robot))
 
 
 def integrate_loads(state: SimState) -> None:
@@ -189,7 +266,7 @@ def integrate_loads(state: SimState) -> None:
     if seconds <= 0:
         return
     for host, meter in state.meters.items():
-        cpu, memory, network = _compute_host_load(state, host)
+        cpu, memory, network = compute_host_load(state, host)
         machine = state.scenario.hosts[host]
         meter.cpu += seconds * cpu / machine.cores
         meter.cpu_peak = max(meter.cpu_peak, cpu / machine.cores)
@@ -201,14 +278,20 @@ def integrate_loads(state: SimState) -> None:
                 meter.rated_s += seconds
 
 
-def _compute_host_load(state: SimState, host: str) -> tuple[float, float, float]:
+def compute_host_load(state: SimState, host: str) -> tuple[float, float, float]:
     """Cores, bytes and bytes/s in use now."""
     machine = state.scenario.hosts[host]
+    if host in state.overlay.lost:
+        return 0.0, 0.0, 0.0
     services = {name: service for name, service in state.services.items() if service.host == host}
     used = sum(state.cores.get(name, 0.0) for name in services)
-    memory = machine.base_memory + sum(_compute_demand_bytes(state, service) for service in services.values())
+    memory = machine.base_memory + sum(compute_demand_bytes(state, service) for service in services.values())
+    base_cores = machine.base_cores
+    for load in state.overlay.loads.get(host, ()):
+        base_cores += load.cpu
+        memory += load.memory
     network = sum(rate for name in services for rate in state.rates.get(name, {}).values())
-    return used + min(machine.base_cores, machine.cores - used), min(memory, machine.memory), network
+    return used + min(base_cores, machine.cores - used), min(memory, machine.memory), network
 
 
 def compute_host_usage(state: SimState, host: str) -> SimHostUsage:
@@ -220,93 +303,4 @@ def compute_host_usage(state: SimState, host: str) -> SimHostUsage:
         memory=meter.memory / seconds,
         network_bytes_per_s=meter.network / seconds,
         rate=meter.rate / meter.rated_s if meter.rated_s else None,
-    )
-
-
-def simulate_probe(state: SimState) -> Snapshot:
-    """The snapshot of a probe now, with noise on its CPU readings and on probes of idle links."""
-    snapshot = Snapshot(
-        taken_at=state.env.now,
-        hosts={host: _simulate_host_sample(state, host) for host in state.scenario.hosts},
-        manager=state.manager,
-    )
-    return (
-        _read_live_links(state, snapshot) if state.scenario.links and state.scenario.live_links else snapshot
-    )
-
-
-def _read_live_links(state: SimState, snapshot: Snapshot) -> Snapshot:
-    """The snapshot with live capacities, by the rules of ``watch``: read from traffic, probed where idle."""
-    now = snapshot.taken_at
-    seen = {
-        (edge, robot): _observe_link(state, edge, robot, link.used_bytes_per_s)
-        for edge, sample in snapshot.hosts.items()
-        for robot, link in sample.links.items()
-    }
-    known = {
-        pair: observe_link(state.histories.get(pair, LinkHistory()), link, now) for pair, link in seen.items()
-    }
-    live = apply_live_capacities(snapshot, known, seen, now)
-    for edge, robot in choose_links_to_probe(state.inventory, live, known, seen, now):
-        known[edge, robot] = add_sample(known[edge, robot], _probe_link(state, edge, robot), None, now)
-    state.histories = known
-    return apply_live_capacities(snapshot, known, seen, now)
-
-
-def _observe_link(state: SimState, edge: str, robot: str, used: float) -> LinkObservation:
-    full = used >= _get_link_bytes_per_s(state, edge, robot) * (1 - 1e-9)
-    return LinkObservation(
-        used_bytes_per_s=used, carries_bytes_per_s=used if full else None, interface="wlan0"
-    )
-
-
-def _probe_link(state: SimState, edge: str, robot: str) -> LinkSampleResult:
-    nominal, carries = _get_nominal_bytes_per_s(state, edge, robot), _get_link_bytes_per_s(state, edge, robot)
-    if carries >= nominal:
-        return LinkSampleResult(bytes_per_s=nominal)
-    return LinkSampleResult(bytes_per_s=carries * math.exp(_PROBE_SPREAD * state.draw_normal()), full=True)
-
-
-def _simulate_host_sample(state: SimState, host: str) -> HostSample:
-    machine, role = state.scenario.hosts[host], state.inventory.hosts[host].role
-    cpu, memory, _ = _compute_host_load(state, host)
-    noise = state.draw_normal() * state.scenario.timing.noise * machine.cores
-    services = {name: service for name, service in state.services.items() if service.host == host}
-    robots = [robot.name for robot in state.inventory.robots] if role is Role.EDGE else []
-    return HostSample(
-        role=role,
-        status=HostStatus.OK,
-        usage={
-            CPU.name: ResourceUsage(capacity=machine.cores, used=min(machine.cores, max(0.0, cpu + noise))),
-            MEMORY.name: ResourceUsage(capacity=machine.memory, used=memory),
-        },
-        links={
-            robot: LinkSample(
-                capacity_bytes_per_s=_get_nominal_bytes_per_s(state, host, robot),
-                used_bytes_per_s=sum(state.rates.get(name, {}).get(robot, 0.0) for name in services),
-            )
-            for robot in robots
-        },
-        tasks={name: _simulate_task_sample(state, service) for name, service in services.items()},
-    )
-
-
-def _simulate_task_sample(state: SimState, service: SimTask) -> TaskSample:
-    name = service.task.name
-    over = state.left.get(name) == 0
-    task_state = TaskState.COMPLETED if over else TaskState.READY if service.ready else TaskState.STARTING
-    rates = state.rates.get(name, {})
-    return TaskSample(
-        state=task_state,
-        pid=1,
-        started_at=service.since,
-        used=Usage(
-            cpu=state.cores.get(name, 0.0),
-            memory=_compute_demand_bytes(state, service),
-            network=sum(rates.values()),
-        ),
-        links=dict(rates),
-        instance=name,
-        spec_hash=service.task.spec_hash,
-        managed=service.task.managed,
     )

@@ -1,8 +1,8 @@
 """A trial of an experiment: deploy a mission as a new manager, watch it, score its maps, clear the fleet."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from edgectl.errors import EdgectlError, FleetBusyError
@@ -71,8 +71,8 @@ def run_trial(
         every=experiment.every,
         apply=True,
         debug=options.debug,
-        probe=ProbeOptions(window=window, timeout=_TRIAL_PROBE_TIMEOUT_S),
-        policy=lambda _: scheme.policy,
+        probe=ProbeOptions(window=window, timeout=_TRIAL_PROBE_TIMEOUT_S, totals=True),
+        policy=lambda _: replace(scheme.policy, seed=repetition),
         execution=ApplyOptions(progress=lambda event: recorder.record_progress(event, trial_fleet.clock())),
         control=options.control,
     )
@@ -83,12 +83,24 @@ def run_trial(
             options.listener(recorder, cycle)
             over = trial_fleet.clock() - (recorder.began or began) >= experiment.limit
             if recorder.finished or recorder.has_given_up or over:
+                _record_closing(cycles, recorder, options.control)
                 break
         else:
             return None
     ended = trial_fleet.clock()
     ssim = _score_maps(trial_fleet, experiment, recorder.places, options.spec_directory)
     return recorder.build_trial(scheme.name, repetition, limit=experiment.limit, ended=ended, ssim=ssim)
+
+
+def _record_closing(cycles: Iterator[Cycle], recorder: TrialRecorder, control: Control) -> None:
+    """Sample once more without a plan: by the usage after the mission its own is told apart (ADR 0132)."""
+    paused, control.paused = control.paused, True
+    try:
+        closing = next(cycles, None)
+    finally:
+        control.paused = paused
+    if closing is not None and closing.snapshot is not None:
+        recorder.record_closing(closing.snapshot)
 
 
 def clean_up_trials(fleet: Fleet) -> None:

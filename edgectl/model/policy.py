@@ -12,12 +12,22 @@ from edgectl.model.resource import AFFINITY, LATENCY, RESOURCES, TERMS, Resource
 
 
 class PolicyName(StrEnum):
-    """The schemes of the paper's comparison, and the paper's rule to the letter."""
+    """The schemes of the paper's comparison, the paper's rule to the letter, and rules of other schedulers.
+
+    ``static`` places a task once, by utility; ``static-X`` places it once by X (ADR 130).
+    """
 
     UTILITY = "utility"
     PAPER = "paper"
     STATIC = "static"
+    STATIC_LEAST_LOADED = "static-least-loaded"
+    STATIC_IN_TURN = "static-in-turn"
+    STATIC_RANDOM = "static-random"
+    STATIC_PACK = "static-pack"
     LOCAL = "local"
+    LEAST_LOADED = "least-loaded"
+    PACK = "pack"
+    RANDOM = "random"
 
 
 class Preference(StrEnum):
@@ -85,6 +95,7 @@ class Policy:
     ``prefer``: pack makes the fuller host the better one (ADR 73).
     ``rebalance``: relocate and swap tasks for a greater sum of utilities (ADR 66).
     ``optimal``: find the best plan with a solver, and prove how good it is (ADR 71).
+    ``seed``: of the draws of the policies that place at random (ADR 130).
     """
 
     name: PolicyName = field(default=PolicyName.UTILITY, metadata=in_document("policy", required=True))
@@ -103,3 +114,4 @@ class Policy:
     rebalance: bool = field(default=False, metadata=in_document("options.rebalance"))
     optimal: bool = field(default=False, metadata=in_document("options.optimal"))
     prefer: Preference = field(default=Preference.SPREAD, metadata=in_document("options.prefer"))
+    seed: int = field(default=0, metadata=in_document("options.seed"))

@@ -49,18 +49,21 @@ def assign(
     policy: Policy,
     now: float,
     solve: Solver | None = None,
+    *,
+    explain: bool = True,
 ) -> Assignment:
     """A host, numbers and a reason for each task, in sequence order (Section IV of the paper).
 
     ``now``: seconds since 1970, on the clock of ``snapshot.taken_at``. ``solve``: look for the best plan with
-    it, if the policy settles plans, and certify how good it is (ADR 71).
+    it, if the policy settles plans, and certify how good it is (ADR 71). Without ``explain`` the places are
+    the same, and the numbers and warnings are left out (ADR 134).
 
     Raises:
         ValueError: the tasks' needs form a cycle, or the weights are not usable (validation of the files
             finds both).
     """
     with pause_collection():
-        return _assign(inventory, tasks, snapshot, manager, policy, now, solve)
+        return _assign(inventory, tasks, snapshot, manager, policy, now, solve, explain=explain)
 
 
 def _assign(
@@ -71,9 +74,11 @@ def _assign(
     policy: Policy,
     now: float,
     solve: Solver | None,
+    *,
+    explain: bool,
 ) -> Assignment:
     rules = POLICIES[policy.name]
-    used = replace(policy, weights=policy.weights.normalised())
+    used = replace(policy, weights=(rules.weights or policy.weights).normalised())
     fleet = add_measured_demands(build_capacities(inventory, snapshot, manager, used.without), tasks, manager)
     state = build_initial_state(tasks, manager, fleet, now, used)
     if not rules.strict_paper:
@@ -96,12 +101,14 @@ def _assign(
         first=_select_first_placements(manager, state),
         handoffs=collect_handoff_history(manager),
         placement_rules=build_placement_rules(order, fleet, state) if rules.settles else NO_RULES,
+        turns={} if rules.settles else {task.name: turn for turn, task in enumerate(order)},
     )
     how = PlacementPass(
         context=context,
         order=order,
         rules=rules,
         initial=state,
+        explain=explain,
     )
     certificate, made = None, how
     if not rules.settles:
@@ -119,13 +126,13 @@ def _assign(
     return Assignment(
         policy=used,
         decisions=explain_pins(outcome.decisions, pins),
-        expected=expected.expected(used_places.union(*(each.places for each in standbys))),
+        expected=expected.expected(used_places.union(*(each.places for each in standbys))) if explain else {},
         standbys=build_standby_steps(made, standbys, expected),
         settled=settled,
         frozen=state.frozen,
         unseen=state.unseen,
-        demand_spreads=find_demand_spreads(fleet, tasks),
-        shortages=compute_shortages(state, tasks),
+        demand_spreads=find_demand_spreads(fleet, tasks) if explain else (),
+        shortages=compute_shortages(state, tasks) if explain else (),
         certificate=certificate,
     )
 

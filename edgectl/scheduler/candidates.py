@@ -102,6 +102,7 @@ class AssignmentContext:
     """Whatever stays the same over all passes of one assignment.
 
     ``placement_rules``: between tasks. ``arrays``: weigh large fleets with NumPy (ADR 0076).
+    ``turns``: the position of each task in the sequence, for policies that place in turn.
     ``edge_rejections`` caches the edges closed to a task, by its rules.
     """
 
@@ -114,6 +115,7 @@ class AssignmentContext:
     handoffs: HandoffHistory
     placement_rules: PlacementRules = NO_RULES
     arrays: "ArrayScan | None" = None
+    turns: Mapping[str, int] = field(default_factory=dict)
     edge_rejections: dict[object, dict[int, Rejection]] = field(default_factory=dict)
 
 

@@ -85,11 +85,11 @@ def choose_by_utility(candidates: CandidateSet, constraints: MoveConstraints) ->
     if best == here:
         return Choice(verdict=Verdict.KEPT, reason=Reason.STILL_BEST, place=here)
     if not is_feasible_total(candidates.totals[here]):
-        return _choose_forced_move(candidates, best, here, constraints)
+        return choose_forced_move(candidates, best, here, constraints)
     return _weigh_voluntary_move(candidates, best, here, constraints)
 
 
-def _choose_forced_move(
+def choose_forced_move(
     candidates: CandidateSet, best: int, here: int, constraints: MoveConstraints
 ) -> Choice:
     """The task may not stay, by a rule or because its host is overloaded beyond the slack.

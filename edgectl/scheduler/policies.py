@@ -1,12 +1,22 @@
-"""Policies: the schemes of the paper's comparison, each with its own exceptions (ADR 0015)."""
+"""Policies: the schemes of the comparison, each with its own exceptions (ADR 15, ADR 130)."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 
 from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Reason, Verdict
-from edgectl.model.policy import PolicyName
+from edgectl.model.policy import PolicyName, Weights
+from edgectl.scheduler.baselines import (
+    PlaceScore,
+    choose_highest_score,
+    choose_while_it_fits,
+    score_draw,
+    score_free_share,
+    score_packing,
+    score_turn,
+)
 from edgectl.scheduler.candidates import (
     CandidateRules,
     CandidateSet,
@@ -20,6 +30,9 @@ from edgectl.scheduler.candidates import (
 )
 from edgectl.scheduler.choice import Choice, MoveConstraints, choose_by_utility
 from edgectl.scheduler.utility import paper_task_utilities, task_utilities
+
+# A choice for one task, within the constraints that keep running tasks in place.
+ChoiceRule = Callable[[CandidateSet, MoveConstraints], Choice]
 
 
 def choose_by_paper(candidates: CandidateSet, _: MoveConstraints) -> Choice:
@@ -39,8 +52,10 @@ def choose_by_paper(candidates: CandidateSet, _: MoveConstraints) -> Choice:
     return Choice(verdict=Verdict.PLACED, reason=Reason.BEST, place=best)
 
 
-def choose_static(candidates: CandidateSet, constraints: MoveConstraints) -> Choice:
-    """The present place; else the pin; else the first placement ever; else the best by utility.
+def choose_static(
+    candidates: CandidateSet, constraints: MoveConstraints, *, choose_first: ChoiceRule = choose_by_utility
+) -> Choice:
+    """The present place; else the pin; else the first placement ever; else the choice of ``choose_first``.
 
     Never moved.
     """
@@ -49,7 +64,7 @@ def choose_static(candidates: CandidateSet, constraints: MoveConstraints) -> Cho
     pin, first = candidates.task.hosts.pin, candidates.context.first.get(candidates.task.name)
     place = candidates.context.fleet.index.get(pin or first or "")
     if place is None:
-        return choose_by_utility(candidates, constraints)
+        return choose_first(candidates, constraints)
     if place in candidates.denied or place not in candidates.listed:
         return Choice(verdict=Verdict.UNPLACED, reason=Reason.NO_CANDIDATE, subject=candidates.name(place))
     return Choice(
@@ -82,24 +97,42 @@ class SchedulingPolicy:
 
     ``settles``: passes are repeated until one changes nothing. ``strict_paper``: a running task's own use
     stays in gamma, and only what ran before the pass is a predecessor. ``weighs_moves``: a change of one
-    number may reverse a decision, so it can be explained. ``follows_pins``: of an operator (ADR 140).
+    number may reverse a decision, so it can be explained. ``weights``: instead of those of the files.
+    ``follows_pins``: of an operator (ADR 140).
     """
 
     candidates: CandidateRules
-    choose: Callable[[CandidateSet, MoveConstraints], Choice]
+    choose: ChoiceRule
     settles: bool = False
     strict_paper: bool = False
     weighs_moves: bool = False
+    weights: Weights | None = None
     follows_pins: bool = True
 
 
 _BY_RULES = CandidateRules(
     robot_of=find_onboard_robot, reject_robot=reject_by_rules, rate_affinity=task_utilities
 )
+_TOLERANT = replace(_BY_RULES, tolerant=True)
+# With these the total is the score of `score_free_share`.
+_LEAST_LOADED_WEIGHTS = Weights(cpu=0.5, memory=0.5, network=0.0, task=0.0)
+
+
+def _build_static_policy(score: PlaceScore, reason: Reason) -> SchedulingPolicy:
+    """Tasks are placed once, by ``score``, and never moved."""
+    return SchedulingPolicy(
+        candidates=_BY_RULES, choose=partial(choose_static, choose_first=_choose_first_by(score, reason))
+    )
+
+
+def _choose_first_by(score: PlaceScore, reason: Reason) -> ChoiceRule:
+    return lambda candidates, _constraints: choose_highest_score(candidates, score, reason)
+
+
 POLICIES: Mapping[PolicyName, SchedulingPolicy] = MappingProxyType(
     {
         PolicyName.UTILITY: SchedulingPolicy(
-            candidates=replace(_BY_RULES, tolerant=True),
+            candidates=_TOLERANT,
             choose=choose_by_utility,
             settles=True,
             weighs_moves=True,
@@ -112,6 +145,10 @@ POLICIES: Mapping[PolicyName, SchedulingPolicy] = MappingProxyType(
             strict_paper=True,
         ),
         PolicyName.STATIC: SchedulingPolicy(candidates=_BY_RULES, choose=choose_static),
+        PolicyName.STATIC_LEAST_LOADED: _build_static_policy(score_free_share, Reason.LEAST_LOADED),
+        PolicyName.STATIC_IN_TURN: _build_static_policy(score_turn, Reason.IN_TURN),
+        PolicyName.STATIC_RANDOM: _build_static_policy(score_draw, Reason.DRAWN),
+        PolicyName.STATIC_PACK: _build_static_policy(score_packing, Reason.FULLEST),
         PolicyName.LOCAL: SchedulingPolicy(
             candidates=CandidateRules(
                 robot_of=find_first_robot,
@@ -121,6 +158,17 @@ POLICIES: Mapping[PolicyName, SchedulingPolicy] = MappingProxyType(
             ),
             choose=choose_local,
             follows_pins=False,
+        ),
+        PolicyName.LEAST_LOADED: SchedulingPolicy(
+            candidates=_TOLERANT, choose=choose_by_utility, weights=_LEAST_LOADED_WEIGHTS
+        ),
+        PolicyName.PACK: SchedulingPolicy(
+            candidates=_TOLERANT,
+            choose=partial(choose_while_it_fits, score=score_packing, reason=Reason.FULLEST),
+        ),
+        PolicyName.RANDOM: SchedulingPolicy(
+            candidates=_TOLERANT,
+            choose=partial(choose_while_it_fits, score=score_draw, reason=Reason.DRAWN),
         ),
     }
 )

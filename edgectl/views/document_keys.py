@@ -45,6 +45,7 @@ _OTHER_TASK = (
 # Kind -> keys of each item of a list.
 LIST_KEYS: KeysByName = {
     "change": ("type", "at", "object"),
+    "context": ("context", "chosen", "inventories", "task_files", "origin"),
     "difference": ("task", "action", "reason", "previous_host", "host", "lines"),
     "edge": _HOST,
     "all": ("kind", *dict.fromkeys((*_HOST, *_TASK, *_LINK))),
@@ -60,6 +61,7 @@ LIST_KEYS: KeysByName = {
         "host", "state", "pid", "age_s", "every_s", "period_s", "samples", "sample_age_s", "cpu", "memory",
         "ttl_s", "ttl_left_s", "current", "detail", "error", "hint",
     ),
+    "setting": ("setting", "values", "origin"),
     "replay": (
         "scheme", "policy", "move_margin", "cycles", "handoffs", "unplaced", "unsettled", "assumed",
         "utilisation",

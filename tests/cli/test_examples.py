@@ -62,7 +62,9 @@ def examples() -> list[str]:
 
     found: list[str] = []
     for name, entry in COMMANDS.items():
-        function = getattr(import_module(f"edgectl.{entry.module}"), f"{name.replace(' ', '_')}_command")
+        function = getattr(
+            import_module(f"edgectl.{entry.module}"), f"{name.replace(' ', '_').replace('-', '_')}_command"
+        )
         found += [line.strip() for line in split_docstring(function)[1].splitlines()]
     early = [line for start in EARLY for line in found if line.startswith(start)]
     late = [line for start in LATE for line in found if line.startswith(start)]

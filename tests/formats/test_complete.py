@@ -47,6 +47,7 @@ from edgectl.model.snapshot import (
     TaskSample,
     TaskState,
     TrafficSource,
+    UsageTotals,
 )
 from edgectl.model.standby_plan import StandbyAction, StandbyReason, StandbyStep
 
@@ -88,6 +89,7 @@ HOST = HostSample(
     role=Role.ROBOT, status=HostStatus.UNREACHABLE, error="e", error_kind="k", hint="h", sample_age_s=1.5, resident=True, usage={"cpu": CPU_USE, "memory": MEMORY_USE},
     links={"r": LINK}, tasks={"t": TASK}, standbys={"s": TASK}, device=DEVICE, generations={"t": 9},
     other_tasks=(OTHER,), foreign_tasks=(OTHER,), address="a", machine="m", grant=4, foreign_grant=3, foreign_hosts=("x",), counters="installed",
+    totals=UsageTotals(cpu_s=1.5, network_bytes=2.5, tasks={"i": 0.5}),
 )  # fmt: skip
 PLACEMENT = Placement(
     host="h",
@@ -115,7 +117,7 @@ WEIGHTS = Weights({name: 0.1 * place for place, name in enumerate(TERM_NAMES, 1)
 POLICY = Policy(
     name=PolicyName.PAPER, weights=WEIGHTS, sequence=SequenceRule.SENSITIVITY, move_margin=0.2, min_dwell=3.0, max_moves=None, attended=False,
     best_effort=True, full=True, without=frozenset({"h"}), prune=True, rebalance=True, optimal=True,
-    prefer=Preference.PACK,
+    prefer=Preference.PACK, seed=7,
 )  # fmt: skip
 REJECTION = Rejection(
     rule=RejectionRule.INSUFFICIENT,

@@ -19,6 +19,7 @@ from edgectl.model.host_key import HostKeyReport
 from edgectl.model.resource import RESOURCES
 from edgectl.rules.awaited_state import AwaitedState, TaskProgress
 from edgectl.views.byte_counters import ByteCountersView
+from edgectl.views.config import ContextRow, ContextsView, Setting, SettingsView
 from edgectl.views.diagnosis import DiagnosisView
 from edgectl.views.diff import DiffView
 from edgectl.views.dry_run import RequestsView
@@ -96,6 +97,10 @@ def list_views() -> Iterator[View]:
     yield MapScoreView(0.5)
     yield HostKeysView(
         [HostKeyReport(host="edge1", key_type="ssh-ed25519", fingerprint="SHA256:x", state="known")]
+    )
+    yield SettingsView([Setting(name="tasks", values=("a", "b"), origin="-t")], ["no inventory"], origin=True)
+    yield ContextsView(
+        [ContextRow(name="lab", chosen=True, inventories=("lab.yaml",), tasks=(), origin="edgectl.yaml:3")]
     )
     yield WaitView([TaskProgress(task="slam", reached=True, state="ready", host="edge1")], AwaitedState.READY)
 

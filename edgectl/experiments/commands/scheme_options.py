@@ -17,7 +17,7 @@ PoliciesOption = Annotated[
         "--policy",
         metavar="LIST",
         show_default=False,
-        help="Any of utility, paper, static, local.",
+        help="Any of utility, static, local, least-loaded, pack, ..",
     ),
 ]
 WeightsListOption = Annotated[

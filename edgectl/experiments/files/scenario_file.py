@@ -30,7 +30,9 @@ from edgectl.config.scalars import (
 from edgectl.config.schema import Schema, build_file_schema, build_object_schema, describe_as
 from edgectl.config.source import read_source
 from edgectl.config.yaml_parser import parse_yaml
-from edgectl.experiments.files.fleet_files import resolve_fleet_files
+from edgectl.experiments.files.event_keys import SCENARIO_EVENT_KEYS, build_events_schema
+from edgectl.experiments.files.event_readers import read_scenario_events
+from edgectl.experiments.files.fleet_files import check_name_exists, resolve_fleet_files
 from edgectl.experiments.model.scenario import Scenario, SimHost, SimJob, SimLink, SimTiming
 from edgectl.model.inventory import Inventory, Role
 from edgectl.model.task import Tasks
@@ -90,6 +92,7 @@ SCENARIO_KEYS: Mapping[str, NodeReader] = {
         record_reader(LINK_KEYS, SimLink, "a link", ("edge", "robot", "throughput"))
     ),
     "live_links": read_bool,
+    "events": keep_node,
     "published": mapping_reader(
         _PUBLISHED_NAME_PATTERN,
         "a scheme",
@@ -110,6 +113,7 @@ def build_scenario_schema() -> Schema:
         _REQUIRED_KEYS,
         hosts={"type": "object", "additionalProperties": host},
         jobs={"type": "object", "additionalProperties": job},
+        events=build_events_schema(SCENARIO_EVENT_KEYS),
     )
     return build_file_schema("scenario", schema)
 
@@ -151,9 +155,9 @@ def _build_scenario(fields: Fields, inventory: Inventory, tasks: Tasks, problems
     values = fields.values
     for key in ("placed", "rate"):
         for task in values.get(key, {}):
-            _check_name_exists(fields.at(key), task, tasks.tasks, "task", problems)
+            check_name_exists(fields.at(key), task, tasks.tasks, "task", problems)
     for task, host in values.get("placed", {}).items():
-        _check_name_exists(fields.at("placed").inner(task), host, inventory.hosts, "host", problems)
+        check_name_exists(fields.at("placed").inner(task), host, inventory.hosts, "host", problems)
     jobs = tuple(_read_jobs(fields.at("jobs"), inventory, tasks, problems)) if "jobs" in fields else ()
     return Scenario(
         name=values.get("name", ""),
@@ -166,6 +170,9 @@ def _build_scenario(fields: Fields, inventory: Inventory, tasks: Tasks, problems
         published=values.get("published", {}),
         links=tuple(_check_links(values.get("links", ()), inventory, jobs, problems)),
         live_links=values.get("live_links", True),
+        events=read_scenario_events(fields.at("events"), inventory, tasks, jobs, problems)
+        if "events" in fields
+        else (),
     )
 
 
@@ -176,24 +183,12 @@ def _check_links(
     names = [job.name for job in jobs]
     for link, node in links:
         known = [
-            _check_name_exists(node, link.edge, [host.name for host in inventory.edges], "edge", problems),
-            _check_name_exists(node, link.robot, [host.name for host in inventory.robots], "robot", problems),
-            *(_check_name_exists(node, job, names, "job", problems) for job in link.after),
+            check_name_exists(node, link.edge, [host.name for host in inventory.edges], "edge", problems),
+            check_name_exists(node, link.robot, [host.name for host in inventory.robots], "robot", problems),
+            *(check_name_exists(node, job, names, "job", problems) for job in link.after),
         ]
         if all(known):
             yield link
-
-
-def _check_name_exists(node: Node, word: str, known: Iterable[str], what: str, problems: Problems) -> bool:
-    if word in known:
-        return True
-    problems.add(
-        node.key_mark(word),
-        ProblemCode.UNKNOWN_NAME,
-        f"unknown {what} {word}",
-        problems.did_you_mean(word, known, f"{what}s:"),
-    )
-    return False
 
 
 def _read_sim_hosts(node: Node, inventory: Inventory, problems: Problems) -> dict[str, SimHost]:
@@ -203,7 +198,7 @@ def _read_sim_hosts(node: Node, inventory: Inventory, problems: Problems) -> dic
         return {}
     read = record_reader(SIM_HOST_KEYS, SimHost, "a computer", ("cores", "memory"))
     for key in node.value:
-        _check_name_exists(node, key, (*inventory.hosts, "edges", "robots"), "host", problems)
+        check_name_exists(node, key, (*inventory.hosts, "edges", "robots"), "host", problems)
     given = {key: read(inner, problems) for key, inner in node.value.items()}
     found = {}
     for host in inventory.hosts.values():
@@ -245,7 +240,7 @@ def _read_jobs(node: Node, inventory: Inventory, tasks: Tasks, problems: Problem
             task = (
                 f"{fields.values['task']}-{robots[index]}" if "for_each" in fields else fields.values["task"]
             )
-            if not _check_name_exists(fields.at("task"), task, tasks.tasks, "task", problems):
+            if not check_name_exists(fields.at("task"), task, tasks.tasks, "task", problems):
                 continue
             before = [
                 _select_predecessors(

@@ -52,7 +52,8 @@ class SchemeResult:
     ``estimates``: by metric, one for each of ``hosts`` (the edges), or a single one: of the mission, or under
     local execution the mean over the robots (``hosts`` is empty). Metrics: latency (min); cpu, cpu peak and
     memory (percent); throughput (MB/s); handoffs (per run). Simulated runs add rate (frames/s); real ones add
-    downtime (s, mean over handoffs) and unplaced (tasks without a host, per run). ``metrics``: of the
+    downtime and gap (s, means over handoffs), cpu_s (CPU seconds of all hosts), air (MB over the interfaces
+    of a robot, mean over robots) and unplaced (tasks without a host, per run). ``metrics``: of the
     application. ``maps``: SSIM, -1..1. ``unfinished``: runs ended by the time limit. ``unplaced``: summed
     over all plans.
     """

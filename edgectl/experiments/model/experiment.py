@@ -82,6 +82,19 @@ class LoadSample:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class MissionUsage:
+    """What a host used from the start of a trial to the end of its mission, by counters (ADR 0132).
+
+    ``cpu_s``: CPU seconds; of a host with a declared capacity those of its tasks. ``network_bytes``: in and
+    out over its interfaces; None for a host with a declared capacity. ``memory``: mean in bytes.
+    """
+
+    cpu_s: Annotated[float, Rounded(decimals=3)]
+    memory: Whole = field(metadata=in_document("memory_bytes"))
+    network_bytes: Whole | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PlacementInterval:
     """``task`` ran on ``host`` from ``start`` to ``end``, in s after the start of the trial."""
 
@@ -95,7 +108,8 @@ class PlacementInterval:
 class HandoffRecord:
     """A move of ``task``, finished ``at`` s after the start of the trial.
 
-    ``downtime`` in s, None if not measured.
+    ``downtime``: from stop to ready, in s; ``gap``: silence of the task at its robot, in s, by the rule
+    ``heard`` of the task. None if not measured.
     """
 
     task: str
@@ -103,6 +117,7 @@ class HandoffRecord:
     target: str
     at: Seconds = field(metadata=in_document("at_s"))
     downtime: Seconds | None = field(default=None, metadata=in_document("downtime_s", always=True))
+    gap: Seconds | None = field(default=None, metadata=in_document("gap_s"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,6 +135,7 @@ class Trial:
     ``latency``: s from the first plan to the completion of the last task in ``until``; the time limit if not
     ``finished``. ``completed``: by task, s after the start of the trial. ``unplaced``: tasks without a host,
     summed over all plans. ``loads``: by host. ``readings``: by metric, then task. ``ssim``: by column, -1..1.
+    ``usage``: by host, over the mission; empty in trials of earlier releases.
     """
 
     scheme: str
@@ -138,6 +154,7 @@ class Trial:
         default_factory=dict, metadata=_WRITTEN
     )
     ssim: Mapping[str, Similarity] = field(default_factory=dict, metadata=_WRITTEN)
+    usage: Mapping[str, MissionUsage] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from edgectl.experiments.model.mission_event import EventRecord, MissionEvent
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimHost:
@@ -63,6 +65,7 @@ class Scenario:
     ``rate``: by task, frames/s at full speed. ``published``: by scheme and metric, values reported for the
     real experiment, one per edge or a single one. ``links``: changes of what links carry; the inventory has
     their nominal capacity. ``live_links``: the scheduler sees them, as by the probes of ``watch``.
+    ``events``: what else changes during the mission.
     """
 
     name: str
@@ -75,6 +78,7 @@ class Scenario:
     published: Mapping[str, Mapping[str, tuple[float, ...]]] = field(default_factory=dict)
     links: tuple[SimLink, ...] = ()
     live_links: bool = True
+    events: tuple[MissionEvent, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,7 +99,8 @@ class SimHostUsage:
 class SimRun:
     """One run of the mission.
 
-    ``latency`` in s; not ``finished``: ended by the time limit. ``usage``: by host.
+    ``latency`` in s; not ``finished``: ended by the time limit. ``usage``: by host. ``events``: what
+    happened, in the order of time.
     """
 
     latency: float
@@ -104,3 +109,4 @@ class SimRun:
     unplaced: int
     usage: Mapping[str, SimHostUsage]
     jobs: Mapping[str, float] = field(default_factory=dict)
+    events: tuple[EventRecord, ...] = ()

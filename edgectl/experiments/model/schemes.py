@@ -6,8 +6,9 @@ from dataclasses import dataclass, field, replace
 from edgectl.model.encoding import in_document
 from edgectl.model.policy import WEIGHT_PRESETS, Policy, PolicyName, Weights
 
-# These policies compute no utility, so weights and margins do not affect them.
-_POLICIES_WITHOUT_WEIGHTS = (PolicyName.STATIC, PolicyName.LOCAL)
+# Weights and margins are compared under these policies; the others have one scheme each, under the
+# policy's name.
+_POLICIES_WITH_WEIGHTS = (PolicyName.UTILITY, PolicyName.PAPER)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +33,7 @@ def _generate_schemes(
     base: Policy, policies: Iterable[PolicyName], weights: Mapping[str, Weights], margins: Sequence[float]
 ) -> Iterator[Scheme]:
     for policy in policies:
-        if policy in _POLICIES_WITHOUT_WEIGHTS:
+        if policy not in _POLICIES_WITH_WEIGHTS:
             yield Scheme(name=policy.value, policy=replace(base, name=policy))
             continue
         for weights_name, values in (weights or {_describe_weights(base): base.weights}).items():

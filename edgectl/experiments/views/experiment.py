@@ -61,7 +61,8 @@ class ExperimentView(ItemView):
     def item(self) -> Document:
         """All estimates as JSON types.
 
-        Latency in min, CPU and memory in percent, throughput in MB/s, downtime in s.
+        Latency in min, CPU and memory in percent, throughput in MB/s, downtime, gap and cpu_s in s, air
+        in MB.
         """
         return {
             "experiment": self.run.experiment.name,
@@ -111,6 +112,7 @@ def _build_experiment_columns(
         *build_usage_columns(results),
         build_metric_column("handoffs", "HANDOFFS", 1),
         build_metric_column("downtime", "DOWNTIME s", 1),
+        *_build_counter_columns(results),
         build_metric_column("unplaced", "UNPLACED", 1),
     )
     return [
@@ -118,6 +120,16 @@ def _build_experiment_columns(
         *(build_application_column(name, results) for name in experiment.metrics),
         *map(build_ssim_column, experiment.maps),
     ]
+
+
+def _build_counter_columns(results: Sequence[SchemeResult]) -> list[MetricColumn]:
+    """The columns of figures that earlier releases did not record, where a scheme has them."""
+    columns = (
+        build_metric_column("gap", "GAP s", 1),
+        build_metric_column("cpu_s", "CPU s", 1),
+        build_metric_column("air", "AIR MB", 1),
+    )
+    return [column for column in columns if any(any(column.estimates(result)) for result in results)]
 
 
 def describe_experiment(

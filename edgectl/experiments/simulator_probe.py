@@ -1,0 +1,147 @@
+"""Simulated probes: the snapshot that the scheduler sees of a simulation."""
+
+import math
+from dataclasses import replace
+
+from edgectl.experiments.simulator_state import (
+    SimSample,
+    SimState,
+    SimTask,
+    compute_demand_bytes,
+    compute_host_load,
+    get_link_bytes_per_s,
+    get_nominal_bytes_per_s,
+)
+from edgectl.model.inventory import Role
+from edgectl.model.link_reading import LinkHistory, LinkObservation, LinkSampleResult
+from edgectl.model.resource import CPU, MEMORY, Usage
+from edgectl.model.snapshot import (
+    HostSample,
+    HostStatus,
+    LinkSample,
+    ResourceUsage,
+    Snapshot,
+    TaskSample,
+    TaskState,
+)
+from edgectl.rules.live_links import add_sample, apply_live_capacities, choose_links_to_probe, observe_link
+
+# Standard deviation of the logarithm of what a probe of an idle link reads.
+_PROBE_SPREAD = 0.05
+
+
+def simulate_probe(state: SimState) -> Snapshot:
+    """The snapshot of a probe now, with noise on its CPU readings and on probes of idle links."""
+    if state.scenario.events:
+        answering = {host: state.env.now for host in state.scenario.hosts if host not in state.overlay.lost}
+        state.manager = replace(state.manager, contact={**state.manager.contact, **answering})
+    snapshot = Snapshot(
+        taken_at=state.env.now,
+        hosts={host: _simulate_host_sample(state, host) for host in state.scenario.hosts},
+        manager=state.manager,
+    )
+    changes = state.scenario.links or any(
+        event.link is not None or event.lost is not None for event in state.scenario.events
+    )
+    return _read_live_links(state, snapshot) if changes and state.scenario.live_links else snapshot
+
+
+def _read_live_links(state: SimState, snapshot: Snapshot) -> Snapshot:
+    """The snapshot with live capacities, by the rules of ``watch``: read from traffic, probed where idle."""
+    now = snapshot.taken_at
+    seen = {
+        (edge, robot): _observe_link(state, edge, robot, link.used_bytes_per_s)
+        for edge, sample in snapshot.hosts.items()
+        for robot, link in sample.links.items()
+    }
+    known = {
+        pair: observe_link(state.histories.get(pair, LinkHistory()), link, now) for pair, link in seen.items()
+    }
+    live = apply_live_capacities(snapshot, known, seen, now)
+    for edge, robot in choose_links_to_probe(state.inventory, live, known, seen, now):
+        known[edge, robot] = add_sample(known[edge, robot], _probe_link(state, edge, robot), None, now)
+    state.histories = known
+    return apply_live_capacities(snapshot, known, seen, now)
+
+
+def _observe_link(state: SimState, edge: str, robot: str, used: float) -> LinkObservation:
+    carries = get_link_bytes_per_s(state, edge, robot)
+    full = used >= carries * (1 - 1e-9)
+    return LinkObservation(
+        used_bytes_per_s=used,
+        carries_bytes_per_s=used if full else None,
+        interface="wlan0",
+        answered=carries > 0.0,
+    )
+
+
+def _probe_link(state: SimState, edge: str, robot: str) -> LinkSampleResult:
+    nominal, carries = get_nominal_bytes_per_s(state, edge, robot), get_link_bytes_per_s(state, edge, robot)
+    if carries >= nominal:
+        return LinkSampleResult(bytes_per_s=nominal)
+    return LinkSampleResult(bytes_per_s=carries * math.exp(_PROBE_SPREAD * state.draw_normal()), full=True)
+
+
+def _simulate_host_sample(state: SimState, host: str) -> HostSample:
+    machine, role = state.scenario.hosts[host], state.inventory.hosts[host].role
+    sample = state.samples.get(host)
+    if sample is None:
+        sample = state.samples[host] = _build_sample(state, host)
+    noise = state.draw_normal() * state.scenario.timing.noise * machine.cores
+    if host in state.overlay.lost:
+        return HostSample(role=role, status=HostStatus.UNREACHABLE, error="lost")
+    used = min(machine.cores, max(0.0, sample.cpu + noise))
+    return HostSample(
+        role=role,
+        status=HostStatus.OK,
+        usage={
+            CPU.name: ResourceUsage(capacity=machine.cores, used=used),
+            MEMORY.name: ResourceUsage(capacity=machine.memory, used=sample.memory),
+        },
+        links=sample.links,
+        tasks=sample.tasks,
+    )
+
+
+def _build_sample(state: SimState, host: str) -> SimSample:
+    """What the probe shows until something changes."""
+    cpu, memory, _ = compute_host_load(state, host)
+    services = {name: service for name, service in state.services.items() if service.host == host}
+    on_edge = state.inventory.hosts[host].role is Role.EDGE
+    robots = [robot.name for robot in state.inventory.robots] if on_edge else []
+    return SimSample(
+        cpu=cpu,
+        memory=memory,
+        links={
+            robot: LinkSample(
+                capacity_bytes_per_s=get_nominal_bytes_per_s(state, host, robot),
+                used_bytes_per_s=sum(state.rates.get(name, {}).get(robot, 0.0) for name in services),
+                rtt_ms=1000.0 * state.overlay.delays[host, robot]
+                if (host, robot) in state.overlay.delays
+                else None,
+            )
+            for robot in robots
+        },
+        tasks={name: _simulate_task_sample(state, service) for name, service in services.items()},
+    )
+
+
+def _simulate_task_sample(state: SimState, service: SimTask) -> TaskSample:
+    name = service.task.name
+    over = state.left.get(name) == 0
+    task_state = TaskState.COMPLETED if over else TaskState.READY if service.ready else TaskState.STARTING
+    rates = state.rates.get(name, {})
+    return TaskSample(
+        state=task_state,
+        pid=1,
+        started_at=service.since,
+        used=Usage(
+            cpu=state.cores.get(name, 0.0),
+            memory=compute_demand_bytes(state, service),
+            network=sum(rates.values()),
+        ),
+        links=dict(rates),
+        instance=name,
+        spec_hash=service.task.spec_hash,
+        managed=service.task.managed,
+    )
