@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Manual pages of all commands, made from the tree of commands that also makes their help."""
 
 from collections.abc import Iterator

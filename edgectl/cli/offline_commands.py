@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """init, validate, version and completion commands."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Installation of completion and manual pages for the user's shell."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """status and logs commands."""
 
 from collections.abc import Iterable

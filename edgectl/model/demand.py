@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a task demands of each resource."""
 
 from math import inf

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a host shows as its SSH host key, beside what is known of it."""
 
 from edgectl.dataclass import dataclass

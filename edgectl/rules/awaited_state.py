@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether a task has come as far as a person or a script waits for."""
 
 from enum import StrEnum

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Live view: two tables, keys, and one thread that probes the fleet periodically."""
 
 import asyncio

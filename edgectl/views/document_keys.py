@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keys of each document that ``-o json`` prints, by its kind, and of the objects inside.
 
 The glossary has the type, the unit and the meaning of each key.

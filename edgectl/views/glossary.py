@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Glossary of the outputs: type, unit and meaning of each key, heading of each column.
 
 One quantity has one key, one unit and one type wherever it stands. docs/reference/outputs.md is generated

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results of ``edgectl events test``: one line for each program of ``on_event``."""
 
 from collections.abc import Sequence

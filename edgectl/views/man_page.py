@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Manual pages in roff, from the parts of a command's help (pure)."""
 
 from collections.abc import Iterable, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``on_event`` as a user writes and tries it: mistakes in the file, ``events test``, and the recipes for it."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Completion and manual pages as a user installs them: in the real bash, zsh and fish, by the real man."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The files for other people's CI: their commands run on a scaffold, and the image is built where a builder is."""
 
 import json

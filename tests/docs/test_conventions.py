@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """docs/conventions.md: each row names a test that exists, or the word that the convention is not met."""
 
 import re

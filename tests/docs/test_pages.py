@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run every command block of the README and the docs, in order, in a scaffold per page.
 
 Blocks that consist of edgectl commands run in this process. All others, and every block of the README and of the CI

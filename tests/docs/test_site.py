@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The documentation site: every page is in its navigation, and no link between pages is dead."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The metrics page as read by Prometheus' own tools."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """docs/monitoring: alert rules and dashboard, judged by promtool and compared with what edgectl exports."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """edgectl that is killed at a given failpoint, as a command line.
 
 ``python -P -c PROGRAM NUMBER LOG WORDS...``: appends each failpoint that is hit (`edgectl.state.failpoints`)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The short form of ``make experiment``: a tiny mission on the local fleet, under two schemes, once each."""
 
 import json
