@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a task demands of each resource."""
+"""Demand of a task for each resource."""
 
 from math import inf
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a plan does with the inactive copies of a task."""
+"""Decisions of a plan about the inactive copies of a task."""
 
 from collections.abc import Mapping
 from dataclasses import field

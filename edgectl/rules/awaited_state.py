@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a task has come as far as a person or a script waits for."""
+"""State of a task that a person or a script waits for."""
 
 from enum import StrEnum
 
