@@ -1,5 +1,6 @@
+# SPDX-License-Identifier: Apache-2.0
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: engines sensitivity latency handoffs ros ros-whole throughput quality demo experiment test test-fast check style setup audit bench faults fuzz soak clean
+.PHONY: docs image engines sensitivity latency handoffs ros ros-whole throughput quality demo experiment test test-fast check style setup audit bench faults fuzz soak clean
 PY := .venv/bin/python
 export PYTHON
 
@@ -28,6 +29,7 @@ test: style
 	@.ci/need-faults
 	@.ci/need-promtool
 	@.ci/need-etcd
+	@.ci/need-shells
 	@PATH="$$PATH:/usr/sbin:/sbin" .ci/with-types $(PY) -m tests.suite tests --ignore=tests/benchmarks --ignore=tests/ros --ignore=tests/engines -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 # Tests without real hosts: rules, files, documents, views, and simulated fleets.
@@ -111,5 +113,14 @@ experiment: setup
 	@.ci/need-faults
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.experiments.lab --repetitions $(or $(REPETITIONS),3)
 
+# The documentation site in .site, strictly: a dead link or a page outside of the navigation fails.
+docs: setup
+	@.venv/bin/zensical build --strict --clean -f .mkdocs.yml
+
+# The container image, where a builder and a registry of base images can be reached; make image BUILDER=docker.
+BUILDER ?= podman
+image:
+	@$(BUILDER) build --file .ci/Containerfile --tag edgectl .
+
 clean:
-	rm -rf .venv .venv-ros2 .venv-cyclone .venv-engines .pytest_cache .mypy_cache .ruff_cache .hypothesis dist build
+	rm -rf .site .venv .venv-ros2 .venv-cyclone .venv-engines .pytest_cache .mypy_cache .ruff_cache .hypothesis dist build

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The Python interface: a fleet is loaded, measured, planned, applied and watched as by the command line.
 
 What ``__all__`` names is stable (docs/api.md). Every error that is raised on purpose is an ``EdgectlError``.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every exception that edgectl raises on purpose.
 
     EdgectlError                    anything reported to a user; carries a hint and an exit code

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lookup of names that a user typed, with suggestions, and their natural order."""
 
 import difflib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plugins of other packages: entry points that are loaded when a file or an option names them (ADR 67)."""
 
 from collections.abc import Callable

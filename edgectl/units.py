@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parsing and formatting of quantities: cores, bytes, bytes per second, shares, durations, instants.
 
 Parsers take a YAML value (number or string) and raise ``QuantityError``, whose hint names the accepted forms.

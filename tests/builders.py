@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Builders with defaults, so that a test shows only its relevant values. Quantities: cores, bytes, bytes/s."""
 
 from collections.abc import Iterable, Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The agent on the hosts of tests, with its code compiled: as on any host that edgectl has asked before.
 
 To compile the code of an operation takes three times the CPU of a request, and every test has new hosts. What the first

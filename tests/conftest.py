@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Isolation from the user's home, keys, state and terminal settings; fixtures with real SSH servers.
 
 Timeouts are scaled to the speed of the machine, SIGINT has its default action, the processes of failed tests are

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``make demo``: a whole deployment on three simulated edges and three simulated robots of this machine.
 
 Every printed command is run, in a fleet made by ``edgectl init``. Ends with an error if a step fails.

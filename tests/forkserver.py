@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """edgectl in processes that are forked from one that has imported it: real processes that need no start of Python.
 
 The start and the imports are two thirds of the CPU time of a short command. A forked edgectl has its own pid, session,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An SSH server whose login names are attacks: ``python -m tests.hostile_sshd HOST-KEY ADDRESS``.
 
 It prints two ports: of the server, and of one that sends a banner without end. Any key may log in. The name

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Processes that were started in a directory of a test, and their end."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two computers of network namespaces with a cable between them: an edge and a robot on this machine.
 
 Each is a process with a network and mounts of its own: a /sys of its network, and an /etc into which the tests may

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Slowdown of the machine by other load, and timeouts that allow for it.
 
 The slowdown is measured once, at the start of a test session; workers and child processes read it from the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """TCP relay that stalls or breaks a connection at a chosen byte, like a bad radio link."""
 
 import contextlib

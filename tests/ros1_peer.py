@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A master and a node of ROS 1 that speak its APIs (XML-RPC, TCPROS) with the standard library alone.
 
 They are real peers on real sockets for what edgectl asks the graph; make ros asks a real ROS the same.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A stand-in for the packages of ROS 1 behind a child process: what it would publish it writes down."""
 
 import json

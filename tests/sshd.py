@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Real OpenSSH servers on loopback addresses, each a host of its own, for tests and benchmarks.
 
 No root is needed and no system file is changed, with one exception: as root, sshd refuses to start without

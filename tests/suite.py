@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run the suite, then up to three failed tests once more, alone: ``python -m tests.suite PYTEST-ARGUMENTS`` (ADR 0030).
 
 A test that passes in the second run is named at the end; any other result of it fails the suite.

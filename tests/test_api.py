@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The Python interface: its page, its promise, and that it decides as the command line does."""
 
 import inspect

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Our dataclasses behave like those of the standard library, and compile nothing."""
 
 import copy

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Forked processes of edgectl: what they print, return and inherit, and how they end."""
 
 import json

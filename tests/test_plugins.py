@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plugins of other packages: the worked package, installed beside edgectl, and packages that are broken."""
 
 import json

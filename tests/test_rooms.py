@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The direction of imports between rooms, and inside the agent."""
 
 import ast

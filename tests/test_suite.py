@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The second run of failed tests in ``make test``, and the hooks of ``tests/conftest.py``."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Workers of pytest-xdist that are forked from one process which has imported all test modules.
 
 These imports are most of what a worker costs beside its tests. The server collects the tests; then it forks for each

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The agent: profilers of a host, its links and its tasks, and the supervisor of tasks.
 
 Four rooms: ``link`` (request and reply), ``measure`` (profilers), ``supervise`` (start, supervision, state,

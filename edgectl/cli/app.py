@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The typer application: commands in help groups; only the requested command is imported."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Session of a command that changes hosts: confirmation, live progress, Ctrl-C, report."""
 
 import contextlib

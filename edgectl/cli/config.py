@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """config commands: the settings in effect, and the choice of a context."""
 
 from pathlib import Path

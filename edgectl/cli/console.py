@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Output of data on stdout and of messages on stderr."""
 
 import contextlib

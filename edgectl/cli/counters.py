@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Commands for the byte counters of hosts: install, show, remove."""
 
 from typing import Annotated

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """describe edge, robot and task commands."""
 
 from collections.abc import Iterable

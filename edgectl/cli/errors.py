@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Conversion of exceptions into messages and exit codes."""
 
 import errno

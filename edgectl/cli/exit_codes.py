@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Exit codes of results (docs/cli.md, "Exit codes")."""
 
 from collections.abc import Collection, Iterable, Sequence

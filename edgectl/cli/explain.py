@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """explain command."""
 
 from typing import Annotated

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """export ros command."""
 
 from pathlib import Path

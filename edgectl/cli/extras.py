@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Optional packages: imported on demand, with an install hint if missing.
 
 The distribution is ``edgectl-robotics``: what package indexes call ``edgectl`` is another program. So a hint

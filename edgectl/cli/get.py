@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """get command."""
 
 from collections.abc import Iterator, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """history, show and rollback commands."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """HTTP server of export prometheus."""
 
 from collections.abc import Callable

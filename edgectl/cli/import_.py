@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """import ros, ssh, ansible and paper commands."""
 
 import os

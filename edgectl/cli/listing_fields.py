@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One key of the items of a listing: to sort by, or to print alone."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """logs command."""
 
 from collections.abc import Iterator, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Entry point: build the command, run it, and end with the right exit code and never with a traceback.
 
 Nothing is imported here that ``edgectl --help`` does not need.

@@ -1,9 +1,10 @@
+# SPDX-License-Identifier: Apache-2.0
 """init, validate, version and completion commands."""
 
 from pathlib import Path
 from typing import Annotated
 
-from typer import Argument
+from typer import Argument, Option
 
 from edgectl.cli import console
 from edgectl.cli.options import InventoryOption, ItemOutput, Shell, TasksOption, ValidateOutput
@@ -93,17 +94,32 @@ def version_command(output: ItemOutput = OutputFormat.TABLE) -> None:
 
 
 def completion_command(
-    shell: Annotated[Shell, Argument(metavar="SHELL", help="bash, zsh or fish.", show_default=False)],
+    shell: Annotated[
+        Shell | None,
+        Argument(metavar="[SHELL]", help="bash, zsh or fish; default: $SHELL.", show_default=False),
+    ] = None,
+    *,
+    install: Annotated[
+        bool, Option("--install", help="Install it, and the man pages, for this user.")
+    ] = False,
 ) -> None:
-    """Print the completion script of a shell. Names come from local files; completion never contacts a host.
+    """Print the completion script of a shell, or install it with the man pages (man edgectl-plan). Names come
+    from local files; completion never contacts a host.
 
     Examples:
+        edgectl completion --install
+        edgectl completion zsh --install
         edgectl completion bash
-        edgectl completion zsh
-        edgectl completion fish
     """
-    from typer._completion_shared import get_completion_script
+    from edgectl.cli.shell_setup import find_shell, get_completion_text, install_completion
 
-    console.print_text(
-        get_completion_script(prog_name="edgectl", complete_var="_EDGECTL_COMPLETE", shell=shell) + "\n"
-    )
+    wanted = find_shell(shell)
+    if not install:
+        console.print_text(get_completion_text(wanted))
+        return
+    written = install_completion(wanted)
+    pages = sum(path.suffix == ".1" for path in written)
+    for path in written:
+        if path.suffix != ".1":
+            console.print_message(f"wrote {path}")
+    console.print_message(f"wrote {pages} man pages to {written[-1].parent}; open a new {wanted}")

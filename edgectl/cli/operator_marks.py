@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Commands that mark hosts and tasks: cordon, uncordon, fence, unfence, done, reopen."""
 
 from collections.abc import Iterable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Options shared by commands, each defined once, and groups of options that commands take as one value."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """move and unpin commands."""
 
 from typing import Annotated

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Policy and task filter from the options of plan and apply."""
 
 import dataclasses

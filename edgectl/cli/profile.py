@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """profile command."""
 
 from typing import Annotated

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Commands for resident profilers: start, stop, status."""
 
 from collections.abc import Sequence

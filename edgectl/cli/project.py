@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Choice of inventory, tasks and defaults: options, environment, project file, user (ADR 139)."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reload of a fleet when its files change."""
 
 import os

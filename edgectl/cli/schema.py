@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """schema: JSON Schemas of files and documents, and the files that ``edgectl init`` writes for editors."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Signal handling for commands that change hosts or run until they are stopped."""
 
 import contextlib

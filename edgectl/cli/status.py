@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """status command."""
 
 from typing import TYPE_CHECKING

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """stop, start and restart commands."""
 
 from typing import Annotated

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tasks as they are named on the command line: by name, by their entry with for_each, or by labels."""
 
 from collections.abc import Iterable, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Key presses and full-screen text on the terminal."""
 
 import contextlib

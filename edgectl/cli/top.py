@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """top hosts and top tasks commands."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """trust command."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Choice, reading and writing of the user's files."""
 
 import errno

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``-v`` and ``--log-format``: logins and requests on stderr, as text or JSON lines."""
 
 import json

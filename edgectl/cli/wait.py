@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """wait command."""
 
 from typing import TYPE_CHECKING, Annotated

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readers of checks and hooks: commands, questions to the ROS graph; tables of their keys."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``coordination`` of an inventory: the etcd that grants the fleet and keeps the manager's state."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readers of the demand of a task."""
 
 from collections.abc import Callable, Mapping

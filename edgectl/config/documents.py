@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Snapshot and plan files: fast if they are valid; otherwise every fault with its position."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``on_event`` of an inventory: programs that are told of events."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Expansion of templates into tasks: one per robot with ``for_each``, placeholders filled in and needs
 resolved.
 """

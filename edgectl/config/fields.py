@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mappings and lists out of nodes. Tables of readers describe the mappings; other keys are errors."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Name of a fleet whose inventory file states none."""
 
 import hashlib

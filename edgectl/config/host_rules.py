@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rules for hosts of a task, checked against the inventory."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Inventory file: tables of its keys, and readers of the hosts and links that it defines."""
 
 import os

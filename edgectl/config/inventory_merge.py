@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Inventory of a fleet from one file or several (ADR 138)."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readers of what a task states of its jobs: the service time by class of hosts, and the bytes."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Positions in JSON text; computed only for invalid documents, so that reading a valid one costs nothing."""
 
 import json

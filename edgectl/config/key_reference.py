@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The reference of ``edgectl explain``: keys of the files, codes of problems and checks of the doctor.
 
 Its text is made from the pages (``python -m tests.docs.key_reference``).

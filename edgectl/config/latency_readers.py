@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readers of latency, deadline and of how a robot hears a task; tables of their keys."""
 
 from collections.abc import Mapping

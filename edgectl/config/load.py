@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Loading of inventory and task files into the model: all problems of all files at once, warnings apart."""
 
 import hashlib

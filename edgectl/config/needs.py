@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Resolution of ``needs`` between expanded tasks, and detection of cycles."""
 
 from collections.abc import Mapping, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Value of a YAML file with its position."""
 
 from dataclasses import dataclass, field

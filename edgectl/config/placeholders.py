@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Placeholders ``{robot}`` and ``{robot_host}``: filled in only where they stand alone, so that ``${robot}``,
 ``${VAR}`` and ``{a,b}`` reach the shell.
 """

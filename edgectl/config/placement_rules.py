@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rules between tasks: ``apart``, ``together``, ``spread`` and ``group``, resolved and checked."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Problems in input files: stable codes, positions, and their collection."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Project file ``edgectl.yaml`` and the user's ``config.yaml``: inventories, tasks, contexts and defaults of
 options (ADR 139).
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Owner of the project file and of its folder (ADR 139)."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Suggestions for quantities that cannot be read, and demands, which may be shares."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Common mistakes with ROS that the files alone show: settings that differ between hosts whose nodes
 should meet, one node name twice, questions to a graph that no host has.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ros`` of a host in the inventory: its keys, the rules between them, and the master that a name means."""
 
 import re

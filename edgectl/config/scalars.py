@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readers of scalars. A reader takes a node, reports its problems, and returns its value or ``INVALID``."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """JSON Schemas of the YAML files, out of the readers that read them."""
 
 from collections.abc import Callable, Iterable, Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reading of files as text: present, readable, bounded, UTF-8."""
 
 import grp

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readers of standby copies and of the state that a move takes along; tables of their keys."""
 
 from collections.abc import Iterable, Mapping

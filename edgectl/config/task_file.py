@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Task file: the keys of tasks and policy, and the templates that it holds."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Edits of YAML text in place: exact positions of values, and replacement of the demands of an entry."""
 
 from collections.abc import Iterator, Mapping

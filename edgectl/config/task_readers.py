@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readers of the values of a task: needs, rules for hosts, stop, handoff; tables of their keys."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rules between the keys of a task, and between a task and the inventory."""
 
 import re

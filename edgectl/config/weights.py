@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Weights (omega of eq. (4)) as people write them: a preset, text or a mapping."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Explanation of YAML parser errors, with hints."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """YAML parser: text to nodes with positions; YAML 1.2 core scalars, no merge keys, no tags, with bounds.
 
 Works on the parser's events, so that a bomb is rejected after ``MAX_VALUES`` values before it is expanded.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Diagnosis of a fleet: this machine, hosts that answered, hosts that did not."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check of the state directory and its disk, here and on every host."""
 
 from shlex import quote

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Checks of one host that answered."""
 
 from edgectl.doctor.disk import diagnose_disk

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Checks of the machine on which edgectl runs."""
 
 from shlex import quote

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Checks of ROS variables that differ between hosts: their nodes never find each other, without an error."""
 
 from collections import Counter

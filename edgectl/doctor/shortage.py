@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check of what all edges together lack for the tasks of the files."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Command lines of a login by hand, with port, key and jump host as the inventory states them."""
 
 import shlex

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check of the traffic between an edge and the robots: whether all of it is seen."""
 
 from edgectl.model.diagnosis import Finding, Severity

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The phases of each action and their requests, as one list: apply performs it, a dry run prints it. Pure."""
 
 from collections.abc import Iterable, Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reasons for which no further action begins: an interruption, a failure under ``fail_fast``, a deadline."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A second look at all hosts for a task that was alive in the plan and is gone when it is to be stopped."""
 
 import queue

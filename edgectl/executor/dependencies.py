@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Order of the actions of a plan: needs first, then room. Pure."""
 
 from collections.abc import Iterable, Mapping

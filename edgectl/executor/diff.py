@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """First half of Algorithm 2: an assignment against the running tasks -> the steps of a plan. Pure."""
 
 from collections.abc import Collection, Mapping, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Changes of the fleet since a saved plan was made. Pure."""
 
 from collections.abc import Iterator, Mapping

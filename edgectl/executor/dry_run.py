@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The requests of a plan in the order of ``apply --max-parallel 1``."""
 
 import sys

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Moves, restarts and replacements of a task: one unit, in the order that its handoff contract states.
 
 stop-first: safe? -> hold -> [save, transfer] -> stop old, verified gone -> start new -> [load] -> ready ->

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Failure of a handoff: where the task stands now, and whether anything steers its robot."""
 
 from edgectl.errors import HostError

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gap of a move as the robot hears it: a watcher there begins before the old instance stops.
 
 The watch is a measurement: whatever fails about it is said in the result, and the move goes on.

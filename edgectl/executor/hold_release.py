@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Release robots left on hold by an interrupted or failed handoff."""
 
 from collections.abc import Callable

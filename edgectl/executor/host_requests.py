@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Requests to the agent of a host, as values. Pure."""
 
 import hashlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Manager state after an apply, and the generations of its starts. Pure."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plans of stop, restart and rollback. Pure."""
 
 import dataclasses

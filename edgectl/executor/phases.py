@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Perform the phases of an action: send the requests, check the replies, repeat waits and checks."""
 
 import time

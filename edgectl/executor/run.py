@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Second half of Algorithm 2: carry out a plan, stops first, then starts in the order of ``needs``."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The environment of a start with its secrets in clear, made right before its request and never stored."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The phases of inactive copies: start one, make an instance active or inactive. Pure."""
 
 from edgectl.agent.link import protocol

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Start and stop inactive copies: stops come before everything that starts, starts after everything."""
 
 import dataclasses

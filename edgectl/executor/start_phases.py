@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The phases of a start, move or restart in order, by activation where an inactive copy waits. Pure."""
 
 from collections.abc import Iterable

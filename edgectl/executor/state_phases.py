@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The phases that hand over the state of a task. Pure."""
 
 from dataclasses import replace

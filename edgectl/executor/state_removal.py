@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Remove the state that an interrupted move has left on hosts."""
 
 from collections.abc import Iterable

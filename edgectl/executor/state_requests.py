@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Requests that hand over the state of a task, as values. Pure."""
 
 from edgectl.agent.link import protocol

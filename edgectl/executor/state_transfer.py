@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hand over the state of a task: save it on the old host, bring it to the new one, load it there.
 
 It passes through this program piece by piece, a few of them at once; no more than these are in memory. The

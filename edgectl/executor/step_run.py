@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The run of one action: its phases timed, reported and journalled, and the context that actions share."""
 
 import contextlib

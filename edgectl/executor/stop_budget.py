@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bound of the time that one host may take of a run for tasks that left the files."""
 
 import threading

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Make an instance active or inactive on its host, at once or prepared and then let go."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A warm move: the copy on the new host becomes active once the old instance is proven inactive.
 
 Both hosts are prepared before the old instance is touched, so that the gap is the two commands and the way

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parallel work in the order of its dependencies; progress is reported in the caller's thread."""
 
 import queue

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Changes of an experiment on real hosts: commands, requests to a person, and tasks that enter."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random numbers of runs and of their events, each stream out of a seed of its own."""
 
 import random

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Events of a trial on real hosts: each waits for its moment in a thread, acts, and is undone in the end."""
 
 import threading

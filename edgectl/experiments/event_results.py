@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Events of simulated runs and of trials: how often they happened, and how long recovery took (ADR 133)."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence

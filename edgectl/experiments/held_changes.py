@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Commands of a trial that are not undone yet, on disk: a run that was killed leaves no change behind."""
 
 from collections.abc import Iterable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """SSIM of map files, local or fetched from a host. Importing this module needs the extra ``evidence``."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Usage of hosts over a mission, from the counters in the snapshots of its trial (pure, ADR 0132)."""
 
 from collections.abc import Iterator, Sequence

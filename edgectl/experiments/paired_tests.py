@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Statistics of paired values: intervals, tests, effect size, equivalence, Holm (ADR 131, pure)."""
 
 from collections.abc import Mapping, Sequence

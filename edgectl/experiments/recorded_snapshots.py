@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Snapshots rebuilt from the rows of the history, and their replay."""
 
 from collections.abc import Iterable, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recovery after an event: the time until what it disturbed is as good as before (ADR 133). Pure."""
 
 from bisect import bisect_left, bisect_right

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reference values for a simulation: published ones, or those of an experiment on real hosts."""
 
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Re-run the scheduler on recorded snapshots under another scheme, in an open loop.
 
 Usage and run time of tasks stay as recorded. Where a scheme places a task on another host than the recorded

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run an experiment on real hosts: all missing trials, one after the other, each on an idle fleet."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Comparison of schemes by pairs of runs: differences, ratios, tests and equivalence (ADR 131)."""
 
 from collections.abc import Iterator, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results of schemes from their runs: means, standard deviations and confidence intervals."""
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence

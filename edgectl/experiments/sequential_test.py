@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sequential test for the fastest of several schemes: exact, and valid whenever one looks (ADR 135).
 
 Runs are paired by their seed. For each pair of schemes the number of seeds with which one of them is the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Closed-loop simulation of a mission on fairly shared hosts and links, with the real scheduler and diff.
 
 Every event (a job ends, a task starts or stops) recomputes the speed of all tasks.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Events of a simulated mission: what starts and ends them, and how they change the model."""
 
 from collections.abc import Callable, Generator, Iterator, Mapping

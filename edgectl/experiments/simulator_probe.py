@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulated probes: the snapshot that the scheduler sees of a simulation."""
 
 import math

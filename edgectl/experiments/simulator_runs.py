@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulate a mission several times under each scheme, with random numbers from a seed."""
 
 from collections.abc import Iterator, Sequence

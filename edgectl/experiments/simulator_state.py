@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """State of a simulation: fair shares of processors and links, task speeds, usage meters."""
 
 from collections.abc import Callable, Iterable, Mapping

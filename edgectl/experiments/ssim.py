@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Structural similarity (SSIM) of two maps, given as bytes."""
 
 import struct

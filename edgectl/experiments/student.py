@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Student's t distribution: tail and quantile, for any positive number of degrees of freedom (pure)."""
 
 from functools import lru_cache

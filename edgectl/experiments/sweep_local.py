@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Worlds of a sweep on the cores of this machine, in processes that may die without harm to the others."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Worlds of a sweep on a Ray cluster: RAY_ADDRESS, or one on this machine."""
 
 from collections.abc import Iterator, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulation of one world of a sweep: pairs of runs, until all are made or the fastest scheme is certain."""
 
 import random

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Worlds of a sweep on a Slurm cluster: a job for each shard, on a file system that all see."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A trial of an experiment: deploy a mission as a new manager, watch it, score its maps, clear the fleet."""
 
 import threading

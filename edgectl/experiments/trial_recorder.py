@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Record of a trial, built from the cycles and progress events of a watch (pure).
 
 All instants are seconds on one monotonic clock.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """State directories of trials: each trial runs as a new manager, isolated from the fleet's own state.
 
 A directory that a killed run leaves behind is found again, so that what its trial started can be stopped and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Crontab line that applies a fleet's tasks; without changes it prints nothing, so cron sends no mail."""
 
 import shlex

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """History as rows for other programs: CSV and JSON Lines with stable columns. Pure.
 
 Column names contain units; instants are RFC 3339 in UTC; unknown values are empty (null in JSON).

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A job that cron or systemd runs periodically."""
 
 import re

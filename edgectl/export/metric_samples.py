@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Samples of each metric: label values and a number. Pure."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Definition of every metric: name, help, labels and samples. Pure.
 
 Names follow Prometheus' conventions: base units, the unit at the end of each name, ``_total`` for counters.

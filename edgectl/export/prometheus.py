@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Metrics in Prometheus' text formats, as a page and over HTTP (with prometheus_client)."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Process of the node that publishes the state of the fleet in ROS: its environment, its input, its end.
 
 Nothing of ROS is imported here: ``ros_node.py`` is sent as text to the ``python3`` of the set-up files

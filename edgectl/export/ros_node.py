@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Node that publishes the state of a fleet: a program of its own, run by ``python3 -c`` of a ROS environment.
 
 Its argument is a JSON object: ``report_fd``, ``name``, ``version`` (of ROS; null: the one that is found),

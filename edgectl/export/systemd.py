@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """systemd units: a service with its timer for ``apply``, or one service for ``watch --apply``; text by file
 name.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Dataclasses to JSON and back by their types and ``edgectl.model.encoding``: every fault at once, each with
 its path.
 

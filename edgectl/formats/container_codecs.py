@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Codecs of lists, sets, mappings and tables by resource, made from the codecs of their items."""
 
 from collections.abc import Iterable, Iterator

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Digests of what a file means: the same for every order in which it may be written."""
 
 import hashlib

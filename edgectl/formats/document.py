@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Basics of JSON documents: faults with their paths, the error that carries them, stable bytes."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Events as JSON types, for documents and for what ``on_event`` starts."""
 
 from edgectl.formats.document import Document

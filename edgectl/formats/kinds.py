@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Kinds of documents with their versions: snapshot, plan, and the state of the manager."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fields of a dataclass in a JSON object: single, grouped below a key, or amounts by resource."""
 
 from collections.abc import Mapping

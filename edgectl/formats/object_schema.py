@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """JSON Schema of a dataclass, from its fields."""
 
 from dataclasses import MISSING

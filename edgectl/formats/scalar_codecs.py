@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Codecs of numbers, texts, words, instants and null, and their JSON Schemas."""
 
 import math

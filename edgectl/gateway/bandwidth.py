@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measurement of link bandwidth by sending data for a bounded time, one link after the other."""
 
 from collections.abc import Iterator, Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Install, remove and read the byte counters of hosts, all at once."""
 
 import ipaddress

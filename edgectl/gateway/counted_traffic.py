@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Traffic of tasks that only the counters of their links saw. Pure."""
 
 import dataclasses

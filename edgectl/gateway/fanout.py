@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parallel calls, and one request to many hosts at once."""
 
 import queue

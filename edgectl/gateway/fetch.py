@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fetch one file that a task wrote on a host."""
 
 import binascii

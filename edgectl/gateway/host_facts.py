@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Facts of hosts for doctor: requests to all hosts, and strict decoding of the replies."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Probe of all hosts at once, each with its own deadline -> one immutable Snapshot."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Latency of tasks in probes: the rules in a request, and the counts in the replies joined to the samples."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Links as both ends report them: each end knows what limits its own sending."""
 
 from collections.abc import Mapping, Set

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An agent's document -> a HostSample.
 
 Pure and strict: anything odd costs this host its sample, and no other host anything.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Probe requests: links to measure, tasks to detect, checks to run."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Start, stop and list the resident profilers on all hosts at once; a host that fails delays no other."""
 
 import dataclasses

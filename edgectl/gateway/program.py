@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run one program of the user on a host, without a shell."""
 
 from collections.abc import Sequence

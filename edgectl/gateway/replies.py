@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replies of agents as dataclasses, decoded by the codec: a reply that does not fit costs its host, never the
 run.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Running ROS graphs, asked of hosts."""
 
 from collections.abc import Sequence

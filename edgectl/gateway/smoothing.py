@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Smoothing of the snapshots of a watch: an exponentially weighted mean over time. Pure.
 
 The load of everything unmanaged and the usage of each task are smoothed separately. So a task that starts,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The host that runs a task, or ran it last, and the instances that have ended."""
 
 from collections.abc import Mapping, Sequence

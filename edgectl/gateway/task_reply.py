@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tasks in the reply to a probe -> TaskSamples. Pure."""
 
 from collections.abc import Mapping

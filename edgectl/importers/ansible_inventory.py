@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hosts of an Ansible inventory in INI or YAML; plugins, scripts and templates are not evaluated."""
 
 import re

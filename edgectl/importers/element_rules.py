@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rules for elements of launch files that are the same in ROS 1 and ROS 2."""
 
 import shlex

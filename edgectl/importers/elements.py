@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Elements of a launch file with their positions: XML and the YAML form of it become one tree."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Safe evaluation of ``$(eval ..)``: a small subset of Python, with bounds."""
 
 import ast

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fault at one place of an imported file, raised where an element cannot be read further."""
 
 from collections.abc import Iterator

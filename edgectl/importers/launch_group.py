@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One task per launch file (``--group file``): the command is roslaunch or ros2 launch itself."""
 
 import posixpath

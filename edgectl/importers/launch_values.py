@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Content of a launch file, independent of its generation and form: nodes, machines, parameters, notes."""
 
 import posixpath

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Requirement file of the paper's authors (``task_req.yaml``) as a task file.
 
 Its keys: ``task_seq`` (order), ``task_req`` (CPU, memory and throughput in percent), ``task_req_seq``

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nodes of a ``.launch.py``, from the record of its child process (``standin/_edgectl_run.py``)."""
 
 import posixpath

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Attributes of the elements of ROS 1 launch files: which there are, and their values in a scope."""
 
 import posixpath

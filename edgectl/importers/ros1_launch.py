@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reader of ROS 1 launch files (``.launch``): what roslaunch would start. Nothing is run."""
 
 import posixpath

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parameters that ``param`` and ``rosparam`` of ROS 1 launch files set."""
 
 from edgectl.config.problems import ProblemCode

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Substitutions of ROS 1 launch files; ``$(eval ..)`` without Python's eval."""
 
 from collections.abc import Callable, Mapping, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reader of ROS 2 launch files in XML and YAML: what ``ros2 launch`` would start. Nothing is run."""
 
 import posixpath

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Substitutions of ROS 2 launch files in XML and YAML, without running a program."""
 
 from collections.abc import Callable, Mapping, Sequence

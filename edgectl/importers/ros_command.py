@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Command lines of ROS nodes: lists of words, quoted for the one shell that edgectl starts on a host."""
 
 import json

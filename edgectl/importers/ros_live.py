@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nodes of running ROS graphs as unmanaged tasks, with the needs that their topics show."""
 
 import re

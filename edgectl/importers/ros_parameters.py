@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Values of ROS parameters in launch files and YAML, with the types that ROS would give them."""
 
 import math

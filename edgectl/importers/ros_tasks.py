@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nodes of a launch file as tasks, one entry for all robots whose namespaces repeat, and an inventory."""
 
 import posixpath

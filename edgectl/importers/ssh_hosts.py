@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Host names of an ssh_config: the aliases that its Host lines define, with the files that it includes."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Substitutions ``$(NAME WORD ..)`` of launch files: syntax, and replacement by a table of functions."""
 
 from collections.abc import Callable, Mapping, Sequence

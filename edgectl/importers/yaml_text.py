@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Text of inventory and task files with comments, for people to read and edit."""
 
 import json

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """The nouns: frozen, slotted, keyword-only dataclasses. Nothing here does I/O."""

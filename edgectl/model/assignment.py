@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Decisions of the scheduler: a host, numbers and a reason for each task.
 
 Nothing is recomputed for display.

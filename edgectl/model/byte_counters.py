@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Byte counters of a host for the addresses of the robots, as the host reports them (ADR 104)."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Questions about a task, and commands that act for it."""
 
 from enum import StrEnum

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One cycle of a watch: measurements, decision and results."""
 
 from edgectl.dataclass import dataclass

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Demand of a task for each resource."""
 
 from math import inf

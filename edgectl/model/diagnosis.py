@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Facts that ``edgectl doctor`` collects, and findings that it draws from them.
 
 Quantities are bytes, seconds and bytes per second; clocks are seconds since 1970.

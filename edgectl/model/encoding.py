@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Metadata of dataclass fields for documents: keys, bounds, instants. The codec and the JSON Schemas read it.
 
 A field needs none where the rules suffice: its key is its name, a number is finite and 0 or more, and a value

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Events of the fleet, one line each."""
 
 from collections.abc import Mapping

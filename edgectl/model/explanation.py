@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Explanation of one decision: the terms behind it and the smallest changes that would reverse it."""
 
 from enum import StrEnum

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """SSH host key that a host shows, beside what is known of it."""
 
 from edgectl.dataclass import dataclass

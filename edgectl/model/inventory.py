@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The fleet as the inventory file states it: edges, robots and the links between them."""
 
 from collections.abc import Mapping

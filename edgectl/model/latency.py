@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Latency of a task: where its values come from, how they were counted, how a robot hears a task."""
 
 from collections.abc import Iterable, Mapping

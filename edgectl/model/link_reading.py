@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Observations of a link, and the readings of its live capacity (ADR 0077)."""
 
 from dataclasses import field

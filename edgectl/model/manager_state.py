@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """State of the manager between runs: a cache and a history, not the record of what runs."""
 
 from collections.abc import Mapping

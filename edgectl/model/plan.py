@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plan: the executor's diff of an assignment against the running tasks."""
 
 from collections.abc import Mapping

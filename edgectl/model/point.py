@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rows of the history: measurements of a host, a link or a task, and completed handoffs.
 
 Amounts are in the units of their resources; ``at`` is the instant of the snapshot in s since 1970 on the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The policy of a decision: scheme, weights and handoff rules."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Latency of a task's jobs: what its file states of them, and what is predicted on a host."""
 
 from edgectl.dataclass import dataclass

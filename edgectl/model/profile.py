@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measured usage of a task: of each resource the median, the 95th percentile and the maximum."""
 
 from collections.abc import Mapping

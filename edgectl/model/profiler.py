@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The resident profiler of a host, as the host reports it."""
 
 from enum import StrEnum

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Progress of a plan under way, for live views."""
 
 from collections.abc import Callable

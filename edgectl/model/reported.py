@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Types of what hosts report, with the bounds within which a report is believed."""
 
 from typing import Annotated

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The resources of the paper (k in {cpu, memory, network}) and the terms of eq. (4): one table.
 
 Whatever is the same for every resource reads this table: files, documents, ledger, equations (1) to (3),

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results of a plan that was carried out."""
 
 from enum import StrEnum

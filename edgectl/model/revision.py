@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Revision: one past apply, as recorded in the journal."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The ROS of a host: what its nodes need in order to find those of other hosts."""
 
 from collections.abc import Mapping

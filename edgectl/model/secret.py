@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A value that must not be seen: it reads as ``***`` unless code asks for it by name."""
 
 MASK = "***"

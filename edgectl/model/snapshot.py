@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Snapshot: one immutable picture of the fleet at one instant, as the profilers measured it.
 
 Amounts are in the unit of their resource; instants are seconds since 1970 on the manager's clock.

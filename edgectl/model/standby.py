@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Copies of a task that wait inactive on another host, and the state that a move takes along."""
 
 from enum import StrEnum

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Decisions of a plan about the inactive copies of a task."""
 
 from collections.abc import Mapping

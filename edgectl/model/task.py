@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tasks with their demands, order constraints and commands."""
 
 import posixpath

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Text of hosts: bounded and printable, so that no host can drive a terminal or fill a file. Pure."""
 
 import unicodedata

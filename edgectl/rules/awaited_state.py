@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """State of a task that a person or a script waits for."""
 
 from enum import StrEnum

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tasks that live on a host which cannot reach their robot (ADR 0097)."""
 
 from collections.abc import Iterator

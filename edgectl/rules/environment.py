@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Environment of a task: variables merged from host and task."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Model of the latency of a job on a loaded host, in closed forms (ADR 119). Pure.
 
 A job of S seconds shares the cores with the work of others, which arrives at random: the queue M/G/c with

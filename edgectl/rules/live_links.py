@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Live capacity of links (ADR 0077): readings, how they lower what is declared or assumed, and which idle
 links to probe next. Pure.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Places of tasks that the inventory no longer reaches: hosts that left it, or have another address or user
 (ADR 0040). What runs there cannot be seen, so it counts as running.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measured demand (ADR 0025): classes of hosts, sufficiency of the history, and the demand until then."""
 
 from collections.abc import Iterable

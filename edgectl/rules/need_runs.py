@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs of predecessors: which of them a task was started with, as marks that a host keeps for it."""
 
 import hashlib

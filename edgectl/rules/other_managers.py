@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Detection of changes by another manager since this one last saw all hosts (ADR 0055), and of hosts that
 another manager has and this one lacks (ADR 0068).
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Running tasks that use more than they declare (ADR 0060)."""
 
 from collections.abc import Iterator

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """ROS in the request for a command: set-up files, placeholders that its host fills in, questions."""
 
 import re

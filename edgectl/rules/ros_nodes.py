@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Names of the ROS nodes of stopped or lost instances, and what became of them (ADR 0106)."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping

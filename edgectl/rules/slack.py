@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Slack (ADR 61, ADR 83): by how much the load of a host may exceed its capacity before a task must leave.
 
 All figures are shares of the capacity.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Running tasks that no given file lists: those that a run stops, and the others (ADR 0039)."""
 
 from collections.abc import Iterable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Activation of a copy in place of a start, for a task whose active instance is gone. Pure."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Equation (4) for one task at every edge at once, in NumPy: for fleets of very many pairs (ADR 0076).
 
 Every operation is that of ``scan``, element by element and in the same order, so that all numbers are the

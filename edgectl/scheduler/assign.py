@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The scheduler: (Inventory, Tasks, Snapshot, ManagerState, Policy, now) -> Assignment.
 
 Pure; the same inputs give the same bytes.

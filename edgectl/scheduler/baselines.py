@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rules of other schedulers, as baselines to compare with (ADR 130): scores of places, and who uses them."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The best plan: solved with all rules, settled as every plan, and taken if it is better (ADR 71, ADR 82).
 Pure: the solver is given.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Candidates of one task: the places that may take it, and the total of each."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Capacities (Delta) of the fleet: hosts as numbered places, and the hosts that are closed to new work."""
 
 from collections.abc import Mapping

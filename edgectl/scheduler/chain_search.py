@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Chains of items of which each goes where the next one was (ADR 85). Pure and deterministic."""
 
 from collections.abc import Collection, Iterator, Sequence

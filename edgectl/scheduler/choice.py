@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Choice of a host: eq. (5) with its ties, and handoff avoidance."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reports of hosts about tasks, judged against the manager's own record (ADR 0047). Pure."""
 
 from collections.abc import Collection, Iterator, Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One task among those that it must, or must not, share a host with (ADR 73)."""
 
 from collections.abc import Callable, Iterator, Mapping

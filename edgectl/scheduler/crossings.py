@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Changes of an explanation, planned again: what the whole plan does when one number changes (ADR 65).
 
 ``explain`` finds the smallest change that reverses a decision while all other tasks stay. In the whole plan

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A decided plan as a packing: the view that its repair, its rebalancing and its optimum start from."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence

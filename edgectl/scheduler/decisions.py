@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Decisions out of choices: relative to what really runs, with every number."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Demand (rho) of a task on one host (ADR 0025): declared, or measured on that class of hosts."""
 
 from dataclasses import replace

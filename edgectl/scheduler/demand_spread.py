@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Percent demands that mean different amounts on unlike hosts: the paper's form, seldom intended."""
 
 from collections.abc import Iterator, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Groups of edges that are alike, so that what depends on an edge is computed once for each group."""
 
 from collections.abc import Callable, Iterable, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An ejection pool: items are put where others give way, which are inserted again (ADR 64). Pure."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Evidence about one task, from hosts and the manager's record: the instances that count, its progress."""
 
 from collections.abc import Callable, Iterable, Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Explanation of a decision: its terms, and the smallest single changes that would reverse it.
 
 Decides nothing anew. Each change is of one number: the load of one host or link, or one weight; all other

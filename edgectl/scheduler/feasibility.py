@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Feasibility: the hosts that may run a task, and those where it fits.
 
 A rejection is a record, never a log line.

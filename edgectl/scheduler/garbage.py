@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Python's garbage collector, paused while a plan is made (ADR 103)."""
 
 import gc

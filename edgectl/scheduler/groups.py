@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Groups (ADR 73): tasks that are started all together, or not at all."""
 
 from collections.abc import Collection, Mapping, Sequence

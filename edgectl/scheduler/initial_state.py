@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Initial state of a pass, from snapshot and manager state: running tasks, and the tasks that no pass
 decides.
 """

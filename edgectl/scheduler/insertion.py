@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Room for one more item among items that may make room (ADR 64). Pure and deterministic."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mixed integer linear programs, and what a solver says of one. Pure: no solver is imported here."""
 
 from collections.abc import Callable, Mapping, Sequence

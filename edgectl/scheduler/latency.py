@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Predicted latency of a task at a place, its term of eq. (4), and the deadline as a rule (ADR 120). Pure."""
 
 from collections.abc import Iterable, Iterator, Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rankings and demands that are made when they are first read: most are never looked at (ADR 0075)."""
 
 from abc import abstractmethod

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ledger of expected load (gamma): as measured, then kept up to date with every placement of the plan."""
 
 from collections.abc import Collection, Mapping

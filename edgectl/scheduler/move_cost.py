@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measured cost of a move (ADR 0018): the gain over the expected stay against the downtime and its price."""
 
 from collections.abc import Mapping, Sequence

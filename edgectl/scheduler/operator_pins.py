@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pins that operators set on tasks by ``edgectl move`` (ADR 140). Pure.
 
 A pin that can be followed acts as the pin of a task file. One that cannot is set aside, with the reason, and

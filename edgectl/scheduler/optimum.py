@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The best plan by three levels, one after the other (ADR 71): tasks placed, by priority; fewest and cheapest
 moves; sum of utilities. Pure: the solver is given.
 """

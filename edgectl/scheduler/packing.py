@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Items at places, and what is free beside them. Pure and deterministic.
 
 Works on shares of capacity: ``free`` holds one row per place, one column per resource of hosts and per link.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replacement of tasks on unreachable hosts (ADR 0020): never while the copy there may still run."""
 
 from edgectl.model.manager_state import ManagerState

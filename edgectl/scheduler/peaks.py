@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bounds that show at a glance that a running task stays: no host can beat its own by the margin (ADR 0075).
 
 A pass that repeats a plan asks this for every task, and nearly always the answer is yes.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Placement of all tasks of a plan as integer programs (ADR 71). Pure.
 
 A variable counts the tasks of one kind at one place; tasks are of one kind where nothing tells them apart but

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The placement of all tasks of a plan as a problem of counts (ADR 71): what may be put where, and which
 tasks are alike. Pure.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rules between tasks (ADR 73): ``apart``, ``together``, ``spread`` and ``group``. Pure."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence

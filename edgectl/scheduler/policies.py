@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Policies: the schemes of the comparison, each with its own exceptions (ADR 15, ADR 130)."""
 
 from collections.abc import Callable, Mapping

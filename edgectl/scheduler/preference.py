@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sign of the terms: whether more or less that is free makes a host the better one (ADR 73)."""
 
 from dataclasses import replace

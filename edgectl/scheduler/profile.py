@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Usage profile of a task from its samples (ADR 0025). Pure; the same samples give the same figures."""
 
 from collections.abc import Sequence

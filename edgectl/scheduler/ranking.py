@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ranking of the hosts of one task, with the terms of every host, losing and rejected ones included."""
 
 from bisect import bisect_left

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Relocations and swaps that raise the sum of utilities of a whole plan (ADR 66). Pure and deterministic."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Repair of a plan that leaves tasks unplaced for lack of room: others make room for them (ADR 64)."""
 
 from collections.abc import Collection, Mapping, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reservations (ADR 0060): what a running task counts for, where it is and wherever it may go. Pure.
 
 The accounting of the scheduler is this, for greedy passes and for everything that changes their result:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rules between tasks as rows of integer programs (ADR 82). Pure.
 
 A plan may break a rule with tasks that run. Each row admits what the known plans have, so that no plan that

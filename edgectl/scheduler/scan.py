@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Equation (4) for one task at every edge at once: the tight loop.
 
 Its reference is ``feasibility``; tests compare the two. A row holds one number per edge. The scan works on

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sensitivity of a choice to one number: eq. (5) with handoff avoidance, where every total is a line.
 
 Along one change x >= 0 each term of each host is a straight line, and so is each total. The choice can only

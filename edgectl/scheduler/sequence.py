@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Task sequencing (Section IV-A of the paper, ADR 0001): predecessors first, then by key."""
 
 import heapq

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Passes until a plan stands: repetition, groups, room made for tasks, and better plans on request."""
 
 from collections.abc import Mapping

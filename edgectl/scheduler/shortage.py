@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shortage: what a fleet lacks, whatever the placement (ADR 0062). Pure."""
 
 from math import fsum

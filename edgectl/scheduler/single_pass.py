@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One pass over the sequence: each task is weighed on all places and put on the best one."""
 
 from collections.abc import Mapping, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Links that no placement can fill: without them tasks for different robots are alike (ADR 93). Pure."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rows that leave out plans which running tasks change by themselves when they are settled (ADR 102). Pure.
 
 A running task leaves its home for an edge with room where its total is greater by more than the margin. Each

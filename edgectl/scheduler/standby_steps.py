@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Steps of a plan for the inactive copies of tasks, from their places. Pure."""
 
 from collections.abc import Iterator, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Places of the inactive copies of tasks (ADR 0111). Pure.
 
 They are placed once all tasks are, and change no place of a task. The rank of a host is its total (eq. (4))

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Load of one task on one place."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Order of places with equal totals (ADR 0008)."""
 
 from collections.abc import Sequence

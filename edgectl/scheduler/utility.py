@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Equations (1)-(4) of the paper, each once, with nothing else in it."""
 
 from collections.abc import Iterable, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The sum of utilities of a packing, kept up to date change by change (ADR 66). Pure."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence

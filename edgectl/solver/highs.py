@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Integer programs by HiGHS: one thread, fixed seed, a deadline."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The secret with which the hosts of a fleet seal the compiled agent (ADR 57): one per fleet directory."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Position of each ``on_event`` hook in the history: which events it has received, and when it ran."""
 
 import contextlib

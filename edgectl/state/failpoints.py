@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Named points of an apply where tests may inject a failure.
 
 A call does nothing unless a hook is installed, which only code of the same process can do: no environment

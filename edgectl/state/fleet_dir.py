@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Directory of a fleet: created, or taken over from the first release."""
 
 from pathlib import Path

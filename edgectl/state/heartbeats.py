@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Heartbeats: the last contact of each host, and the hosts that the operator fenced.
 
 Replacing a task depends on both. Times are uptimes of this machine, so that setting a clock cannot lengthen a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Append-only journal of changes to a fleet: lines chained by checksums, synced before the change they
 announce.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Verification and summary of a journal, line by line, so that a long one needs little memory."""
 
 import hashlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Small JSON files: written whole or not at all, the previous one kept, a broken one set aside."""
 
 import contextlib

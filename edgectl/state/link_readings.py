@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readings of the live capacity of links, kept between calls: a cache, which the next probes fill again."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lock of a fleet: a kernel file lock that ends with its process and never needs removal."""
 
 import fcntl

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The name by which hosts know this manager: one per state directory and machine."""
 
 import contextlib

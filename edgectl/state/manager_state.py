@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """State of the manager on disk: a cache and a history. Losing it costs history, never a running task."""
 
 import dataclasses

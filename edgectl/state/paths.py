@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Paths of the manager's state: one private directory per fleet, created private; links are not followed."""
 
 import hashlib

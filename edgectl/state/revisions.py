@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Revisions of a fleet, read from its journal. Fields that an older edgectl did not record stay empty."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """State of the manager that all machines of a fleet share through etcd, and what of it this machine has.
 
 The files of this machine are a working copy: installed when the fleet is taken, collected when it is saved.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Facts about the fleet's state directory and its file system."""
 
 import os

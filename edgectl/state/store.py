@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """History of one fleet in SQLite: samples, plans, actions, handoffs and events.
 
 Best effort: no failure here fails a command. Revisions and placements, which must survive, are in the

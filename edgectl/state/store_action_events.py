@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Events of what this manager plans and does."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Connection to the file of a history: opened at first use, set aside if broken; failures are warnings."""
 
 import sqlite3

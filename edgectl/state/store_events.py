@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Events between two snapshots of the fleet.
 
 Pure: known state and new snapshot give events.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Database file of a fleet's history: created private, opened, and set aside if broken."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shared SQLite connection per fleet: reopening costs an fsync for every record."""
 
 import threading

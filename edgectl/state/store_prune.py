@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pruning of the history by age and by file size, the oldest samples first."""
 
 import sqlite3

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rows of the history to and from values. Values of a damaged file are refused."""
 
 import math

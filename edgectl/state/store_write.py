@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Inserts into the history, each within a transaction of the caller."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Uptime of this machine: a clock that cannot be set."""
 
 import time

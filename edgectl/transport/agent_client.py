@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Client of the agent protocol: one constant command line, a request on standard input, a framed reply.
 
 A login shell may print anything before and after (MOTD, rc files, banners). Only a frame with the random
@@ -24,6 +25,7 @@ from edgectl.model.text import clean_text
 from edgectl.transport.base import Reply, Session, Transport, trace_call
 
 _AGENT_DIR = Path(__file__).parent.parent / "agent"
+_LICENCE_LINE = b"# SPDX-License-Identifier: Apache-2.0\n"
 _AGENT_PACKAGE = "edgectl_agent"
 # No newline, quote, backslash or exclamation mark: between single quotes it is safe in sh, bash, zsh, fish
 # and tcsh. The alarm ends an agent whose program never arrives (a dead connection); the program then sets the
@@ -54,6 +56,11 @@ def build_agent_command(python: str) -> str:
     return f"exec {shlex.quote(python)} -I -S -c '{_BOOTSTRAP}'"
 
 
+def read_program(path: Path) -> bytes:
+    """The text of a program for hosts, without the line of its licence: 38 bytes in each of its files."""
+    return path.read_bytes().removeprefix(_LICENCE_LINE)
+
+
 @cache
 def build_agent_zipapp() -> bytes:
     """The agent as a zipapp, reproducible: sorted names, fixed dates, no compression."""
@@ -65,7 +72,7 @@ def build_agent_zipapp() -> bytes:
             entry = zipfile.ZipInfo(f"{_AGENT_PACKAGE}/{name}", date_time=(1980, 1, 1, 0, 0, 0))
             entry.create_system = 3
             entry.external_attr = 0o100600 << 16
-            archive.writestr(entry, path.read_bytes())
+            archive.writestr(entry, read_program(path))
     return buffer.getvalue()
 
 
@@ -83,7 +90,7 @@ def use_cache_key(fleet: str, key: str) -> None:
 @cache
 def _read_boot_programs() -> bytes:
     """The stub and the boot program, each after its length; most hosts never unpack the latter."""
-    stub, boot = ((_AGENT_DIR / "link" / name).read_bytes() for name in ("stub.py", "boot.py"))
+    stub, boot = (read_program(_AGENT_DIR / "link" / name) for name in ("stub.py", "boot.py"))
     return b"".join(b"%d\n%s" % (len(text), text) for text in (stub, zlib.compress(boot, 9)))
 
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Exponential back-off after failures in a row (pure)."""
 
 # 2 ** 10 times the first pause: beyond it every maximum is reached.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The interface between edgectl and a host: a Session runs one constant command line, bytes in and out.
 
 No user data is ever part of a command line, so no shell interprets it: requests travel on standard input.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Connections to a fleet: kept open in a pool, rested after failures, recorded as heartbeats.
 
 Everything that happens around a request is a guard. A session carries its guards in one list, so a request

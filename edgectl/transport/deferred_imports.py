@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Import Fabric and paramiko without modules that no connection of ours uses."""
 
 import sys

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run a command in the environment and the folder of a running task: the program of ``edgectl exec``.
 
 Its text is sent to the host and run there by Python 3.6 or later, so it imports nothing of edgectl. It

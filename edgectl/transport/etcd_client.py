@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Client of etcd's JSON gateway (version 3.4 and later) over HTTP/1.1. Every call has one deadline."""
 
 import base64

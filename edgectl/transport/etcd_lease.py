@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lease of a fleet in etcd: one key that its holder creates, keeps alive and ends, and the state that only
 the holder may write (docs/adr/0080, 0081).
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A fleet without a network, for tests: handlers answer requests, through the same frames as a real agent.
 
     transport = FakeTransport(

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lease of a fleet by one manager: the grants of the hosts, and the signature of every changing request.
 
 A host grants the fleet to one manager at a time, for a lease on the host's own clock (docs/adr/0042). Here

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Transport of a mixed fleet: each host by its ``connection``."""
 
 import threading

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A request that a host prepares and then holds until it is told to go on.
 
 Between the two nothing happens on the host: without ``go``, at the end of the connection or of

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Verification of host keys: known, or refused with a hint. It cannot be disabled."""
 
 import subprocess

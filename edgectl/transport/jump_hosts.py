@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Jump hosts (``ProxyJump``): one shared connection to each, closed with its last user."""
 
 import threading

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reader and writer of known_hosts files with the semantics of OpenSSH.
 
 paramiko's own reader fails on marker lines, ignores patterns and is quadratic, so the files are read here,

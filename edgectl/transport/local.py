@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hosts that are this machine (``connection: local``): the same command line, run by sh."""
 
 import contextlib

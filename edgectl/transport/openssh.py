@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The user's own ``ssh`` program (``connection: openssh``): for host certificates and security keys.
 
 Each command is a connection of its own, unless the user's ssh_config names a ControlPath on which a master

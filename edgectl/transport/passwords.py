@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Passwords of hosts that accept no key: from ``password_command`` or a prompt, once per run."""
 
 import subprocess

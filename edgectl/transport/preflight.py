@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Requirements of SSH on this machine: readable known_hosts files and an ssh program."""
 
 import shutil

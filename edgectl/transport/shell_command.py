@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Command lines of the user's own ``ssh`` for work by hand: ``edgectl ssh`` and ``edgectl exec``.
 
 They have the login, the jump hosts and the checked host keys of the inventory, but may ask for a password.
@@ -13,6 +14,7 @@ from pathlib import Path
 
 from edgectl.model.inventory import Connection, Host
 from edgectl.transport import enter_program
+from edgectl.transport.agent_client import read_program
 from edgectl.transport.openssh import OpenSshTransport
 
 # Unpacks the program and runs it. No character of it, or of its arguments, means anything to any login shell.
@@ -41,7 +43,7 @@ def build_enter_command(
         ConnectError: there is no ssh program, or no host name.
     """
     asked = json.dumps({"task": task, "pid": pid, "argv": list(argv)}).encode()
-    program = zlib.compress(Path(enter_program.__file__).read_bytes(), 9)
+    program = zlib.compress(read_program(Path(enter_program.__file__)), 9)
     python = [
         sys.executable if host.connection is Connection.LOCAL else "python3",
         "-I",

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Memory of one run for hosts that let a deadline pass: the rest of the run does not wait for them again."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sockets under every SSH connection: tuned, and closed from outside when a deadline passes."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """SSH over Fabric: its client with our socket, host key policy and deadline (``docs/concepts/ssh.md``)."""
 
 import logging

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """SSH authentication: keys of the agent and of files, each read once per run, or one password."""
 
 import base64

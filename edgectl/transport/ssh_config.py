@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The user's ssh_config for a host, resolved by OpenSSH itself (``ssh -G``) with Include and Match.
 
 The files are found as OpenSSH finds them. The environment variable EDGECTL_SSH_CONFIG names another file

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Errors of paramiko and the sockets -> errors of edgectl, in one table."""
 
 import socket

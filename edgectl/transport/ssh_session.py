@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operations on an open SSH connection: raw channels with one hard deadline and a size limit each.
 
 Fabric's ``Connection.run`` is not used: it polls, it decodes, and it does not end when the line does.

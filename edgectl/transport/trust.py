@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``edgectl trust``: fetch host keys for comparison, then record them."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Live view of ``edgectl top -i``. Needs the extra tui, so nothing imports this room at start."""
 
 from edgectl.tui.run import run_top_view

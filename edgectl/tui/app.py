@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Live view: tables of hosts, tasks and links, keys, and one thread that probes the fleet periodically."""
 
 import asyncio

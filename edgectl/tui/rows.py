@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rows of the live view, from a snapshot and the samples before it. Pure."""
 
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The live view over a real fleet."""
 
 import dataclasses

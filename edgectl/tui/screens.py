@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Screens above the two tables: a text, and a question."""
 
 from typing import ClassVar

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tree of what hangs on what: tasks below those that they need, with their hosts. Pure."""
 
 from collections.abc import Iterator, Mapping, Sequence

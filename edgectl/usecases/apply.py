@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Apply a plan under the fleet's lock and record every step."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Byte counters of the hosts: install, remove and show them."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Control of a running watch by keys or signals; safe from any thread and from signal handlers."""
 
 import queue

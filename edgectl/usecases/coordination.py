@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Coordination of the managers of a fleet by etcd: the lease that one of them holds, and the state that they
 share (docs/adr/0080, 0081). Without ``coordination`` in the inventory nothing of this is done.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Diagnose this machine and the hosts. Nothing is changed."""
 
 import contextlib

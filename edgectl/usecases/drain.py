@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Cordon hosts and move their tasks away through the handoff contracts, until a deadline."""
 
 import dataclasses

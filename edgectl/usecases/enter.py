@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The command that runs beside a task, on its host and in its environment (``edgectl exec``)."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Background program that hands recorded events to the ``on_event`` programs of a fleet.
 
 edgectl starts it with its job on standard input and does not wait for it, so no cycle waits for a hook, and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Delivery of recorded events to ``on_event``: bookkeeping, and the start of the courier."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Events from the history; no host is asked."""
 
 from collections.abc import Callable, Iterator

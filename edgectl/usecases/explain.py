@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Explanation of one placement and of what would change it."""
 
 from collections.abc import Mapping, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Export of the history as rows; no host is asked."""
 
 from collections.abc import Callable, Iterator

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Time at which a watch looks again: the copy of a task on a silent host has stopped itself by then."""
 
 from enum import IntEnum

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The fleet as every use case receives it: inventory, tasks, transport and state."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The hold of a fleet: claimed on every host with the first probe, renewed while it lasts, then released."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reminders of wanted tasks that were given up: at once, then once a day."""
 
 from edgectl.errors import StateError

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Record heartbeats of hosts, and send them to idle hosts during a long apply and between the requests of a
 watch, so that self_fence does not fire and the hold of the fleet lasts.
 """

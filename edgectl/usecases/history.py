@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Revisions of a fleet, and rollback to the placement of an earlier one."""
 
 import dataclasses

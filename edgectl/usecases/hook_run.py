@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One run of an ``on_event`` program: its input, its deadline, and what it says when it fails."""
 
 import contextlib

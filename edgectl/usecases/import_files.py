@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Imports of other tools' files: launch files, host lists, the paper's requirements."""
 
 import glob

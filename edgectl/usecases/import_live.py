@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Import of running ROS graphs: nodes that edgectl did not start become unmanaged tasks."""
 
 from collections.abc import Sequence

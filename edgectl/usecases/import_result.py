@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Result of an import: the texts of the new files, and what is not in them."""
 
 import secrets

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A ``.launch.py`` evaluated in a child process with bounded time and memory
 ([ADR 89](docs/adr/0089-run-python-launch-files-against-a-recorder.md)).
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Live capacity of the links of a fleet: read at every probe, and by probes of idle links on request."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Logs of a task from the host where it runs or ran last."""
 
 import contextlib

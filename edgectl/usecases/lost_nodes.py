@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Removal of what ROS 1 nodes of lost instances have left at their master (ADR 0106)."""
 
 import dataclasses

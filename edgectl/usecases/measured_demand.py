@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measured demand of tasks from the history, for plans and for the operator."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping

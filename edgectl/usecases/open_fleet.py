@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Construction of a fleet from loaded files, for the command line and for programs."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Marks that operators set on tasks and hosts (done, cordon, fence), changed under the fleet's lock."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pins that operators set on tasks: ``move`` and ``unpin`` (ADR 140)."""
 
 import dataclasses

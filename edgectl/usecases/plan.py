@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plan: ranking of hosts and changes, with reasons."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Execution of plans: lock, open sessions, journal, and the manager's state afterwards."""
 
 import contextlib

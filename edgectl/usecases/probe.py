@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Probe of the fleet: hosts, links and tasks."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measured usage of a task, and writing it into the task file as its demand."""
 
 import difflib

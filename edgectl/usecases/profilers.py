@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Control of the resident profilers on the hosts."""
 
 from collections.abc import Sequence

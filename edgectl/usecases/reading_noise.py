@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Noise of the readings of hosts, from the history."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Best-effort recording of samples, plans and results; a failure is one warning, never an error."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """State of the fleet for a node of ROS, measured again and again."""
 
 import time

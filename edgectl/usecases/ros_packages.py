@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Packages of ROS on this machine: directories with a ``package.xml``, found by the package's name."""
 
 import os

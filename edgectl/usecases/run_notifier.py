@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Program that calls a plugin of ``edgectl.notifiers`` with the events on standard input."""
 
 import json

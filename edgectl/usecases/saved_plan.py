@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check of a saved plan of any author against the files and the tasks that run now. Pure."""
 
 from collections import Counter

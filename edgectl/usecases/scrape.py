@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Metrics of the fleet for Prometheus, from one probe shared by all scrapes."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Snapshots and recent samples for get, top and describe, once or repeatedly."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stop and restart of tasks by name, through the same executor as apply."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Offline checks of valid files."""
 
 from edgectl.model.assignment import DemandSpread

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Waiting for tasks: probes until each has come as far as asked, one has failed, or the time is over."""
 
 import time

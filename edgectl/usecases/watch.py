@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Watch loop: sample, smooth, plan and, if allowed, apply, over sessions that stay open."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Byte counters of the hosts."""
 
 from collections.abc import Iterable, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Settings in effect with their origin, and contexts."""
 
 from collections.abc import Sequence

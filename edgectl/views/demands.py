@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Demands of a plan and their sources: declared, or measured from a number of samples."""
 
 from collections.abc import Iterable, Iterator, Sequence

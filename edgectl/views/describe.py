@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parts of a description: fields, sections and the last events."""
 
 import textwrap

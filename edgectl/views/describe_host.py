@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Details of an edge or a robot: declarations of the inventory, measurements and the last events."""
 
 from collections.abc import Mapping, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Details of a task: its specification, its runs, the decision of a plan and the last events."""
 
 from collections.abc import Sequence

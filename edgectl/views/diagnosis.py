@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Findings of ``edgectl doctor``, host by host."""
 
 from collections.abc import Sequence

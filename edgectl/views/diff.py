@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Differences between what runs and what a plan would have run."""
 
 from collections.abc import Iterator, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keys of each document that ``-o json`` prints, by its kind, and of the objects inside.
 
 The glossary has the type, the unit and the meaning of each key.
@@ -53,7 +54,7 @@ LIST_KEYS: KeysByName = {
     "all": ("kind", *dict.fromkeys((*_HOST, *_TASK, *_LINK))),
     "host": _HOST,
     "event": _EVENT,
-    "hook": ("program", "outcome", "duration_s", "message"),
+    "hook": ("command", "outcome", "duration_s", "message"),
     "finding": ("host", "check", "level", "message", "hint"),
     "host-usage": (*_HOST, "history"),
     "host-key": ("host", "key_type", "fingerprint", "state", "error", "hint"),

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """JSON Schemas of the documents that ``-o json`` prints, from the glossary and the keys of each kind."""
 
 from collections.abc import Iterable, Iterator

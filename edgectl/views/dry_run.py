@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The requests of a dry run: the command line and the standard input of each."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """JSON, JSON Lines, YAML and CSV of a document. Pure: JSON types in, text out."""
 
 import csv

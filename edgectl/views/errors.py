@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Errors as text with position, line, caret and hint, and as JSON."""
 
 from collections.abc import Iterable

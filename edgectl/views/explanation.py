@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The explanation of one placement: the decision, its terms, and the changes that would alter it."""
 
 from collections.abc import Iterable, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Annotations of a GitHub Actions job, one line per problem."""
 
 from collections.abc import Iterable

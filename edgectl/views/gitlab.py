@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Code-quality report of a GitLab job: a JSON list with one entry per problem."""
 
 import hashlib

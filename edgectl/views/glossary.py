@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Glossary of the outputs: type, unit and meaning of each key, heading of each column.
 
 One quantity has one key, one unit and one type wherever it stands. docs/reference/outputs.md is generated
@@ -154,7 +155,6 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "phase": "phase of an action",
         "policy": "name of a policy",
         "previous_host": "host before the decision",
-        "program": "program of an on_event entry",
         "proxy_jump": "jump host of a connection",
         "python": "version of Python",
         "reason": "reason of a decision",
@@ -438,6 +438,7 @@ HEADINGS = _list_amount_headings() | {
     "chosen": "NOW",
     "context": "CONTEXT",
     "class": "CLASS",
+    "command": "COMMAND",
     "counters": "COUNTERS",
     "counts": "ACTIONS",
     "cpu.capacity_cores": "CORES",
@@ -477,7 +478,6 @@ HEADINGS = _list_amount_headings() | {
     "now_host": "NOW",
     "onboard": "ONBOARD",
     "outcome": "OUTCOME",
-    "program": "PROGRAM",
     "p50": "P50",
     "p50_ms": "P50",
     "p95": "P95",

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The task graph: tasks, their needs and their hosts, as Mermaid and as DOT."""
 
 from collections.abc import Iterable, Mapping

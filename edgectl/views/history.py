@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The history of a fleet: its revisions, and one of them in full."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results of ``edgectl events test``: one line for each program of ``on_event``."""
 
 from collections.abc import Sequence
@@ -31,13 +32,13 @@ class HookTrialsView(ListView):
             )
             for hook, why, seconds in self._trials
         ]
-        return render_columns([head("program", "outcome", "duration_s", "message"), *rows], look, wrap={3})
+        return render_columns([head("command", "outcome", "duration_s", "message"), *rows], look, wrap={3})
 
     def items(self) -> Sequence[Document]:
         """The trials as JSON types."""
         return [
             {
-                "program": _name_program(hook),
+                "command": _name_program(hook),
                 "outcome": "failed" if why else "done",
                 "duration_s": round(seconds, 3),
                 "message": why,

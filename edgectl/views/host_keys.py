@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Host keys, as the hosts show them and as known_hosts has them."""
 
 from collections.abc import Sequence

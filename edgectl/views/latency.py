@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Latency of tasks: percentiles and misses."""
 
 from collections.abc import Iterable

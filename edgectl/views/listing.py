@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Listings of edges, robots, tasks and links, and the changes from one probe to the next.
 
 Measurements (usage, round trips, ages) stand in ``-o wide`` and in the documents, and are no change:

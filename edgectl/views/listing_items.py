@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Items of a listing of edges, robots, tasks or links, and their changes from one probe to the next."""
 
 from collections.abc import Callable, Iterator, Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Metrics that applications report."""
 
 from collections.abc import Iterable, Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tasks on a machine that are not those of its host: of another fleet, or filed under another host name."""
 
 from collections.abc import Collection, Iterable

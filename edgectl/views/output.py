@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Base classes of the outputs: each is one class, with a method for each form that it has."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The forms of output, and the ones that each kind of command offers."""
 
 from collections.abc import Sequence

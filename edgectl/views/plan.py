@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The plan: what changes, why, and the expected load; as a table, in full, as a document and as a comment."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Header of a plan, the line that folds what stays, and the legend of the wide form."""
 
 import math

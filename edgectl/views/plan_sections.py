@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parts of a plan as text: header, expected load, notes and summary."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Predicted latencies of an explanation: milliseconds, and what each part costs."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measured usage of tasks by class of hosts, beside the declaration."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Resident profilers of the hosts."""
 
 from collections.abc import Iterable, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Progress on standard error: a live line on a terminal, else a line as each part ends."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reasons of decisions and rejections in words."""
 
 from collections import Counter

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The meaning of a key of a file, of a code, or of a check."""
 
 from collections.abc import Sequence

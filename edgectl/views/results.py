@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The results of an apply, a stop, a restart, a rollback or a drain: each action with its phases."""
 
 from collections.abc import Iterable, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The state of the fleet as statuses of diagnostic_msgs: one for the fleet, each host and each task."""
 
 from edgectl.formats.document import Document

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rows of hosts, links and runs of tasks, as every document has them."""
 
 from edgectl.formats.document import Document, without_none

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The snapshot of a probe: hosts with their load, links and tasks."""
 
 from collections.abc import Callable, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bars and sparklines from block glyphs, or from ASCII. Pure: numbers in, text out."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Inactive copies of tasks: their steps in plans, and their states, in words and rows."""
 
 from collections.abc import Callable, Iterator, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """State of tasks and hosts as phrases, and remarks on failed tasks and limits."""
 
 from collections.abc import Collection

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The status of every task: host, state, age, usage against demand, and remarks on what needs attention."""
 
 from collections.abc import Iterable, Iterator, Sequence

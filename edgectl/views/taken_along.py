@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The memory of a task in a move: what goes along, what stays behind, and how it went last time."""
 
 from collections.abc import Iterator, Mapping, Sequence

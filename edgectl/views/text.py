@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Text layout of all outputs: aligned columns, optional colour, escaped control characters."""
 
 import codecs

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Usage of hosts, now and over the last samples, against capacity and limits."""
 
 from collections.abc import Iterable, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Usage of tasks, now and over the last samples, against their demand."""
 
 from collections.abc import Iterable, Sequence

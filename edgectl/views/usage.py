@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Usage against capacity and demand."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence

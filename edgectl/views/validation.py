@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The contents of an inventory and task files without faults, and the versions of the program."""
 
 from collections.abc import Mapping

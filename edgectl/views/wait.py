@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tasks that somebody waits for, as they were seen last."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Cycles of a watch: the line and the document of each, and the tally of the live view."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Live view of a watch: its text, and the screen that shows it."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A real host on this machine: the agent in a local session, with a state directory of its own; every task is ended after the test."""
 
 import fcntl

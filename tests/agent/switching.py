@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A plain task for the tests of standby copies: it ticks into a file while it is active."""
 
 import sys

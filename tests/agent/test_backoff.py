@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Restart back-off, without waiting."""
 
 from edgectl.agent.supervise import backoff

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Boot of the agent: sent once, cached under its hash, verified each time, run from memory."""
 
 import ast
@@ -168,7 +169,7 @@ def test_nothing_is_compiled_twice(host: AgentHost) -> None:
     host.ask("status", task=None)
     before = find_code(host).stat()
     run = host.session.run
-    boot_program = zlib.compress((AGENT / "link" / "boot.py").read_bytes(), 9)
+    boot_program = zlib.compress(protocol.read_program(AGENT / "link" / "boot.py"), 9)
     assert boot_program in protocol._read_boot_programs()
     damaged = boot_program[::-1]
 

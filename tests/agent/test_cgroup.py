@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Control group limits, read from fixture trees: v1, v2, hybrid without controllers, containers."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Byte counters of nftables: rules, readings and rights, on two computers in network namespaces with a cable."""
 
 import contextlib

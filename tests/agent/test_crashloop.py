@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Crash loop: a command that keeps failing is given up and reported."""
 
 from edgectl.agent.supervise import lockfile

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Facts of ``doctor``: real ones of this machine, and fixture trees for configurations that it does not have."""
 
 import os

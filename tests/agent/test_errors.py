@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a host lacks is told as such, not as a bug."""
 
 import errno

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The agent's JSON codec against the standard library's."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fleets on one host and login: each has tasks of its own; what the first release left has one owner."""
 
 import fcntl

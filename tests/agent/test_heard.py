@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The watcher of a robot: the longest silence between successes of a command, against the switch's own record."""
 
 import time

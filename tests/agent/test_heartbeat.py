@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Self-fencing: a host without heartbeat stops its fenced tasks, and only then."""
 
 import itertools

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Latency of a metric: counted by the supervisor, value by value, against the sender's own record."""
 
 import json

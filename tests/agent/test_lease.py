@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The lease of a fleet on one real host: one manager at a time changes it."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Detection of hosts that kill users' processes at logout."""
 
 import getpass

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Log files: bounded, clipped, lost bytes counted, read back and followed."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Application metrics: valid lines, misuse of the file by a task, and metrics in a probe."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Other users of a host: what they do is neither believed nor hit, and does not stop anything."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whose a name of a ROS 2 graph is, by identifiers; tests/ros asks the same of real nodes."""
 
 import os

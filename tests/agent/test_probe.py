@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Profilers on this machine: known work, known bytes, one document with and without psutil and on every Python."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Resident profiler: one per host, cheap, never a task; probes that read it; every cause of its end."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The protocol between manager and agent: name rules in both forms, states, operations, keys."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bit rates of radios, from files of a fixture tree and from the output of a stand-in for iw(8)."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Records on disk: rewritten in place, never lost by a partial write, never misread."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a request loads and reads on a host: counted, because a time would depend on the machine."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Questions to a graph of ROS 1, the supervisor that asks them, set-up files and addresses.
 
 Master and nodes are small ones of our own that speak the APIs of ROS (`tests/ros1_peer.py`); ``make ros`` runs

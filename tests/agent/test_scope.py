@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Systemd scopes (``runtime: systemd``): choice of a scope, limits read back; with a real systemd --user where possible."""
 
 import getpass

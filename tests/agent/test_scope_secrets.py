@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Secrets in ``runtime: systemd``: a canary in a task's environment appears in no unit, no output of systemd and no command line."""
 
 from collections.abc import Iterator

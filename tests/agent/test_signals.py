@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Signals reach only the process that was seen, never another with its pid."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sketch of latencies: its error, its bounds, and that parts add up to the whole."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """State of a task on its way to another host: saved, read, written and loaded by real agents."""
 
 import hashlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An instance whose successor starts elsewhere: how its supervisor takes what happens to it meanwhile."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Contract of the supervisor, on real processes, in both runtimes."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Standby copies on one real host: start, activate, deactivate, held requests, and what is refused."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whatever is killed during an activation or a deactivation, and when: a record that says ``standby`` is true.
 
 Each kill is made at another moment after ``go``: before the record, between record and effect, between effect and

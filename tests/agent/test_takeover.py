@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Takeover of a task whose supervisor was killed: one instance before and after, supervised as before."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """UDP has no byte counters: probes and profilers say where there is some, on real sockets of this machine."""
 
 import contextlib

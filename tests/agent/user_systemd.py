@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A private systemd --user without a systemd as PID 1, in a mount namespace with its own /run and control groups.
 
 Where the tests are not root, or systemd is not installed, a stub replaces systemd-run: it starts the command as ``--scope`` does

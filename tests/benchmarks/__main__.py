@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run every benchmark of this package, each in a process of its own: ``python -m tests.benchmarks``."""
 
 import subprocess

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """CPU of one request on a host: ``python -m tests.benchmarks.agent_start [PYTHON ..]``.
 
 The agent's operations and a bare ``python3 -I -S -c pass`` run in turns, each as a process of its own with the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Cost of application metrics on a host: ``python -m tests.benchmarks.app_metrics [SECONDS]``.
 
 CPU of reading one task's file, for typical and worst content; and of a supervisor that checks the file while

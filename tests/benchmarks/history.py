@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Cost of the history: recording and querying snapshots of 50 hosts, 200 links and 200 tasks. ``python -m
 tests.benchmarks.history``.
 """

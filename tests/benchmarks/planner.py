@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Time and memory of a plan, from a lab to a thousand hosts: ``python -m tests.benchmarks.planner``.
 
 Fails where the decisions of the largest fleet are not those of ``DIGESTS``, on either path.

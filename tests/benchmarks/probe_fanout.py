@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Probe of N real hosts against parallel ssh processes that run the same agent: ``python -m
 tests.benchmarks.probe_fanout [N ..]``.
 

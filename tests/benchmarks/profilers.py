@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Cost of a profiler on a host: ``python -m tests.benchmarks.profilers [SECONDS]``.
 
 The profiler at 1 Hz and at 5 Hz, with ten tasks of three processes each and three links, against the method

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Speed of the mission simulator in runs per CPU second: ``python -m tests.benchmarks.simulator [RUNS]``."""
 
 import random

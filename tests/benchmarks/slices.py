@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Probe to plan of a fleet of slices of this machine: ``python -m tests.benchmarks.slices [N ..]``.
 
 ``edgectl plan`` from its start to its last byte, of N slices and as many tasks. Each slice is a host of its own

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Start-up time: ``python -m tests.benchmarks.startup``.
 
 ``edgectl --help`` against an empty typer app of as many commands (ratio of medians, runs interleaved), and

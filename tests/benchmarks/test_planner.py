@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bound on the planner's time; the whole table is ``python -m tests.benchmarks.planner``."""
 
 from tests.benchmarks.planner import format_table, measure_size

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fixtures: a scaffold as the working directory, and the command as a function."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files and the state directory of a small fleet."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The edgectl command line inside the test process: it saves the start of Python for each command."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pseudo-terminal for one edgectl: its output, and typed input."""
 
 import os

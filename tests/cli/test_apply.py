@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Commands that change a fleet, on one local edge with one small real process."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """--color, which stands above the variables of the environment, wherever it stands on the line."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """diff: what apply would change, and its exit codes, which differ from those of other commands."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """events: the command, on the scaffold's own hosts."""
 
 import contextlib

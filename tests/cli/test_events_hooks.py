@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``on_event`` as a user writes and tries it: mistakes in the file, ``events test``, and the recipes for it."""
 
 import json
@@ -44,13 +45,13 @@ def test_each_program_is_tried(tmp_path: Path) -> None:
     )
     said = try_hooks(tmp_path, hooks, "events", "test", "-o", "json")
     assert said.code == 1
-    assert [(row["program"], row["outcome"], row["message"]) for row in json.loads(said.out)["items"]] == [
+    assert [(row["command"], row["outcome"], row["message"]) for row in json.loads(said.out)["items"]] == [
         ("sh", "done", ""),
         ("sh", "failed", "failed with exit code 3: no server"),
     ]
     assert json.loads(out.read_text())["items"][0]["kind"] == "host-lost"
     assert try_hooks(tmp_path, hooks, "events", "test").out.splitlines()[0].split() == [
-        "PROGRAM",
+        "COMMAND",
         "OUTCOME",
         "TOOK",
         "MESSAGE",

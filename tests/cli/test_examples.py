@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run every example of every command's help as printed, those of a running fleet in a natural order.
 
 Most run in this process, which saves the start of Python; those that need a terminal, a signal or a port are

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Metrics as a page, as a file, and over HTTP from real probes; the history as rows."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """export ros as a process, its node with a stand-in for the packages of ROS; make ros hears real topics."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """No hint and no page leads to ``edgectl`` of a package index, which is another author's program."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files of users: what others planted is neither followed nor believed, and nothing is written for all to read."""
 
 import os

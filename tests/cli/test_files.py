@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """init, validate, completion: files only."""
 
 import json

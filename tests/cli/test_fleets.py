@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two fleets of one login on one computer, as two people with one account have them."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """get and top on local edges of this machine, in tables and in machine-readable formats."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Help that fits a screen, one line per flag, and a current reference page."""
 
 import re

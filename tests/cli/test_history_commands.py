@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """history, show REV, rollback, drain, fence: the commands, on two local edges with one small real process."""
 
 import json

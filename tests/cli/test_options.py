@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """-o lists the formats that a command supports; --version; the fingerprint shown by trust."""
 
 import pytest

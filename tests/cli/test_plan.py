@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """plan from a snapshot, show, and their options: no host is contacted."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """profile: measured usage, and writing it into the task file."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Project file, contexts and the user's configuration: which files a command reads, and from where."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``apply --yes --quiet``, as cron calls it: no output if nothing was done and nothing failed; else the
 reason, and the exit code.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lazy imports: a command imports heavy packages only if it needs them."""
 
 import subprocess

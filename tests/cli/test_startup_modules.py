@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What commands import and compile before they do anything: bounded by count, since times differ by machine.
 
 A bound that is missed has a reason in the change at hand: a module that moved, or an import for a rare case, which

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tasks named by their entry or by labels, and marks that are only tried."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """top -i in a terminal of its own, over real probes."""
 
 import os

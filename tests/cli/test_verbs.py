@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every verb in situations where part of the answer is missing: the words and the exit code of the page."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """watch on a terminal and under systemd: keys, signals, edited files. On real local hosts."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Broken files as single changes of valid ones: the change, the place of the problem, and the text repaired
 by its hint.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Broken snapshot and plan files: each with its place, message and a hint."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Broken inventories: each with its place, message and a hint that repairs it."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``coordination`` of an inventory: addresses, files for TLS, and mistakes with their places."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writing demands into a task file: the demand of one entry changes, and nothing else."""
 
 import re

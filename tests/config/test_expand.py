@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Meaning of valid files: expansion per robot, placeholders, needs, defaults, warnings."""
 
 import json

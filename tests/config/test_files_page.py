@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """docs/reference/files.md: every key that exists is documented, every documented key exists, and its examples
 load.
 """

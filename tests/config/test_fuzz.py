@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Loaders raise no error but InputError, whatever the files contain."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Several inventories that make one fleet together."""
 
 from pathlib import Path

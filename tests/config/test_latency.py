@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Latency, deadline and heard of a task: what files may say, and what is refused."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The order of a file changes neither values nor digests. Fields of execution change the spec hash, fields of
 placement do not.
 """

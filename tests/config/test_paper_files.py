@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's scenarios as shipped: ten tasks with the demands of its configuration, no warnings."""
 
 from pathlib import Path

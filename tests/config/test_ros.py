@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ros`` of hosts and questions to the ROS graph: what is read, what follows from it, what is warned of."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """JSON Schemas of the YAML files: every shipped file is valid, and what the readers refuse by its form is not."""
 
 import importlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Secrets in the files: hidden as soon as they are read, and never part of an error message."""
 
 import random

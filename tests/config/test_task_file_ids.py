@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ids of task files: relative to the inventory, the same in every clone and from every working directory."""
 
 from pathlib import Path

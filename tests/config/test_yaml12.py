@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """YAML 1.2 core scalars, places, and expansion bombs that are rejected before anything is built."""
 
 import os

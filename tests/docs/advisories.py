@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The list of known holes in docs/dependencies.md, against the floors of pyproject.toml and what is installed.
 
 ``python -m tests.docs.advisories`` prints the comparison; ``make audit`` does where the public advisories cannot be

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fenced command blocks of a Markdown page, and how to run them in a scaffold.
 
 ``console`` blocks: the lines that begin with ``$ ``. ``sh`` blocks: every line. A block that cannot run stands right after

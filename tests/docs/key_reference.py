@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What ``edgectl explain KEY`` prints, made from the pages: ``python -m tests.docs.key_reference`` writes it.
 
 The tables of docs/reference/files.md and docs/concepts/doctor.md are the one place where a key, a code and a check are

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The list in docs/concepts/metrics.md, made from the code: ``python -m tests.docs.metrics`` writes it."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """docs/cli.md, made from the command itself: ``python -m tests.docs.reference`` writes it."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """No version that pyproject.toml admits has a hole that docs/dependencies.md lists."""
 
 from tests.docs.advisories import list_open_holes, read_advisories, read_floors

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pages for maintainers against the tree: rooms, functions of the walks, make targets."""
 
 import ast

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Each "how to add" page of docs/contributing is followed: its patch applied to a copy of the tree, its tests and commands run."""
 
 import sys

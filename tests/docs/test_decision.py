@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every number of the worked example in docs/concepts/decision.md."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``make demo`` does what it says, in time, and leaves nothing behind."""
 
 import os

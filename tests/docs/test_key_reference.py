@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """explain of keys, codes and checks: all of them, as the pages describe them."""
 
 import json

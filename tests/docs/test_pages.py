@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run every command block of the README and the docs, in order, in a scaffold per page.
 
 Blocks that consist of edgectl commands run in this process. All others, and every block of the README and of the CI
@@ -150,8 +151,15 @@ def test_links_between_pages_lead_somewhere() -> None:
                 assert (page.parent / target).exists(), f"{page.name}: {target}"
 
 
+def test_the_readme_fits_its_limits() -> None:
+    lines = (ROOT / "README.md").read_text().splitlines()
+    assert len(lines) <= 120
+    assert [line for line in lines if len(line) > 110] == []
+    assert "edgectl[" not in "\n".join(lines), "that name is another author's on package indexes"
+
+
 def test_the_paper_table_names_real_modules() -> None:
-    for path in re.findall(r"`(edgectl/[\w/.]+)`", (ROOT / "README.md").read_text()):
+    for path in re.findall(r"`(edgectl/[\w/.]+)`", (ROOT / "docs" / "concepts" / "decision.md").read_text()):
         assert (ROOT / path).exists(), path
 
 

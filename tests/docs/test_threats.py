@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The tests that the page of threats names as its proofs."""
 
 import re

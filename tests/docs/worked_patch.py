@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Worked patches of docs/contributing: a copy of the tree with a patch applied, and the commands of its page."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Builders of facts with the defaults of a healthy host."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every check of the doctor, passing and failing, on facts made by hand; every failure with a remedy."""
 
 from dataclasses import replace

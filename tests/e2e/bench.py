@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A manager with its files over real hosts, and an independent view of /proc."""
 
 import itertools

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A task that keeps text in memory: ``serve SOCKET`` holds it, ``save SOCKET`` prints it, ``load SOCKET`` replaces it.
 
 ``serve`` appends a line to its text for each ``add``, so a test can see which instance has which memory.

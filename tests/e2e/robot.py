@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Robot that knows which instances control it: each holds a connection, which the kernel closes when its
 process ends.
 

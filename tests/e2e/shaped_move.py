@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Moves of a large state over SSH between two hosts, each behind a link of its own; run in a network namespace.
 
 ``unshare --net python -m tests.e2e.shaped_move FOLDER``: prints one JSON object for each move.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Metrics and files of a job over real sshd: shown while it runs and after its end, and fetched."""
 
 import random

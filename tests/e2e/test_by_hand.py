@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What an operator does by hand, on three real SSH servers: exec, ssh, move, unpin and start."""
 
 import json

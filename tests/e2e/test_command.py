@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The command as a process: two at once, Ctrl-C, exit codes."""
 
 import os

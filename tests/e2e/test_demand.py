@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A real task is measured by real probes, and the next plan uses the measured demand."""
 
 import sys

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The doctor over real sshd: each problem is found with a remedy, and the remedy works."""
 
 import json

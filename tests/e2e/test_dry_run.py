@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Requests of apply to real hosts equal those printed by a dry run of the same plan."""
 
 from collections.abc import Iterator

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The gap of a move as the robot hears it, against what a robot recorded every 10 ms; fixture of the handoffs."""
 
 import time

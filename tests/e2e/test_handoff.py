@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The handoff contract with a robot that records, every 10 ms, which instance controls it and whether it
 holds.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An inventory that changes while tasks run, over real sshd on three hosts: one instance before and after."""
 
 from collections.abc import Iterator

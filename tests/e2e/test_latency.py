@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Latency of a task over real sshd: from the values that it writes to tables, metrics and the history."""
 
 import time

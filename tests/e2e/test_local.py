@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A whole deployment on this machine: two edges and a robot as slices of it, with real processes."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tasks whose supervisor was killed, over real sshd: adopted by apply, and never replaced while unseen."""
 
 import os

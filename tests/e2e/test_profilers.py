@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Profilers over real sshd: they outlive the session that started them, a probe reads them, and without them
 a probe only takes longer.
 """

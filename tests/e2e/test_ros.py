@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A master of ROS 1 that restarts, and the tasks that need it. The master and the nodes are those of
 `tests/ros1_peer.py`; ``make ros`` does the same with Debian's ROS.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """No secret leaks: canary values stand in every place of a secret, and every output of a task's life is
 searched for them in all usual encodings.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A deployment over real sshd: sessions that end; hosts that are down, misreport, print noise or are behind a
 jump host.
 """

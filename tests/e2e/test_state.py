@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Moves that take the memory of a task along, between real processes."""
 
 import hashlib

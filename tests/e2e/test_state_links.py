@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Time and memory of moves with a large state, over SSH and links of 50 Mbit/s in a network namespace."""
 
 import tempfile

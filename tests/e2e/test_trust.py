@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """trust, over real sshd: one table, one question, and no key that has changed is replaced."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Unreachable hosts over real sshd: a task is replaced when its copy is certainly gone, and never kept twice."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """watch over real sshd: a lasting load moves a task once, and a host that is cut off and comes back keeps its
 tasks.
 """

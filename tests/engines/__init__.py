@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sweeps on the real engines: ``make engines``."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A Slurm cluster of one node, of Debian's daemons, in a directory of the test."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The same sweep on this machine, Ray, Dask and Slurm: the same bytes."""
 
 import os

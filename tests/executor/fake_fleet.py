@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulated hosts behind FakeTransport: they implement the agent protocol and record what ran where."""
 
 import copy

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A task that the plan saw alive is gone when it is to be stopped: another manager may have moved it."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Algorithm 2 as a pure diff: an assignment against the running tasks."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A dry run prints the very requests that apply sends, in their order."""
 
 from collections.abc import Iterator

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stopping early: no new action after a failure with --fail-fast or after the deadline; running actions are
 finished.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The manager state after an apply, case by case."""
 
 import dataclasses

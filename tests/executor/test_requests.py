@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Requests to hosts: content, environment, dry run, order."""
 
 from typing import Any

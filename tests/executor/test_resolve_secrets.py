@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """secrets are revealed in the request that starts a task, and in no other."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Order and dependencies of actions, and the effect of a failure."""
 
 import threading

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A plan that replaces a task is refused if its old host was reachable in the meantime."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plans of operators, and the checks of saved plans, with inactive copies about."""
 
 from dataclasses import replace

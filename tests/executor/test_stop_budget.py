@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Unknown tasks on one host, each slow to stop, keep nobody else waiting."""
 
 import time

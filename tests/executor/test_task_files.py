@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Task files that are given one at a time: what a run stops, leaves alone and counts (ADR 0039)."""
 
 from dataclasses import replace

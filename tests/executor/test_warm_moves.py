@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Warm moves, activations and inactive copies, on simulated hosts."""
 
 import dataclasses

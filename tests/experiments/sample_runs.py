@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Generated runs of experiments: two robots with detection, mapping and map merging, on three edges."""
 
 import random

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Table and figure of docs/evaluation/sensitivity.md, from the results of its sweep: ``make sensitivity``."""
 
 import subprocess

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Events in scenario files: what is read, and each fault with its place and its hint."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Experiment files: a valid one, and each fault with its position and a hint that mends it."""
 
 from pathlib import Path

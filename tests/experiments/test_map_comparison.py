@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Map files: where they are read from, and which are refused."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Metadata files of maps: as written by ROS, and each fault with its position."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Usage over a mission from counters: numbers computed by hand."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Statistics of pairs against worked examples of textbooks."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Progress messages of an experiment."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Events of trials with real processes, on three edges whose names are in reverse order, through the real agent."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Experiments with real processes: on this machine through the API, and over sshd through a command that is killed."""
 
 import json

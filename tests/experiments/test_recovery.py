@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recovery after events: by hand, in simulated runs, and of trials."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reference values of a simulation, matched by the names of schemes and hosts, never by order."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replays checked by hand: loads move with their tasks, and each scheme keeps its own placement."""
 
 from dataclasses import replace

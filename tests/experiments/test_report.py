@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures and page of a report: complete, readable, self-contained and reproducible."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The command report: the files written, and the message without a finished trial."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """JSON of runs and trials: a round trip loses only the documented rounding, and only once."""
 
 import json

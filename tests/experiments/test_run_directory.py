@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run directories: self-contained, never half written, with clear errors about damage."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Experiments on simulated hosts with a fast clock: order of trials, refusals, clean-up."""
 
 import threading

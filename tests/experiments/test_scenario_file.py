@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scenario files: the shipped ones load, and each fault is reported with its position."""
 
 from pathlib import Path

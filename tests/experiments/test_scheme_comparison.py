@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Comparisons of schemes by pairs, and the sentence that answers them."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results of trials: numbers computed by hand, and properties of any run."""
 
 import random

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The sequential test for the fastest scheme: its stated error holds, by simulation and exactly."""
 
 import random

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Events of simulated missions against closed forms, on three edges whose names are in reverse order."""
 
 import random

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables and documents of simulations and replays."""
 
 from typing import Any

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results of the simulator, held by digests: what only makes it faster changes none of them.
 
 ``python -m tests.experiments.test_simulator_digests`` prints the table, for a change that is meant to change it.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Student's t distribution against printed tables, closed forms and SciPy."""
 
 from math import atan, inf, pi, sqrt

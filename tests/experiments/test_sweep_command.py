@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The commands simulate sweep and simulate merge: shards, files by content, killed processes, Ctrl-C."""
 
 import json

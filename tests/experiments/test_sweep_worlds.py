@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Settings of a sweep, and the shared radio, against closed forms."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The record of a trial: each instant is that of the event itself, not of its observation."""
 
 from collections.abc import Mapping, Sequence

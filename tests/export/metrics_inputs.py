@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A small fleet with a value for every metric."""
 
 from dataclasses import replace

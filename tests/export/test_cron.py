@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Crontab lines: the right schedule, and a command that runs as under cron, with any paths."""
 
 import dataclasses

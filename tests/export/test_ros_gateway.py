@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The process of the ROS gateway: a real child of this machine's python3, with a stand-in for the packages of ROS.
 
 The stand-in replaces what lies behind the child: it writes down what would be published. make ros hears real topics.

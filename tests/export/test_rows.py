@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rows that the csv module and any JSON reader read back unchanged."""
 
 import csv

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Exported units: systemd accepts them, reads every word back unchanged, and a run in the sandbox reaches its
 hosts over ssh.
 """

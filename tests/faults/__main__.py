@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fault injection on real hosts: ``python -m tests.faults``."""
 
 import argparse

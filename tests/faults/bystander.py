@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # Hosts may have Python 3.6, so:
 """Unrelated process that records every signal it receives, and the sender.
 

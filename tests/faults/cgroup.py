@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """CPU limits of emulated computers, by cgroup v1 or v2, whichever is writable."""
 
 import os

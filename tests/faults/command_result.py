@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Result of one edgectl command, with expectations."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """edgectl that is killed, or stopped for a while, at a given failpoint, as a command line.
 
 ``python -P -c PROGRAM NUMBER SIGNAL LOG WORDS...``: appends each failpoint that is hit (`edgectl.state.failpoints`)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All faults, in the order of the table."""
 
 from tests.faults import (

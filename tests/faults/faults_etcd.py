@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faults of two managers that share a real etcd while the network is split: each of them sees one half of the hosts.
 
 New tasks, which run nowhere, come in every round: without etcd they would be started on both sides.

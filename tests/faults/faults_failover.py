@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faults around copies from outside: a failover under a second fault, two managers, hosts that are renamed or removed."""
 
 import signal

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The manager killed with SIGKILL at every failpoint: before and after each journalled step, request and
 file.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faults of hosts: power, reboot, disk, mounts, Python, login."""
 
 import shutil

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faults of the inventory: a host is renamed, removed, or given another address or user while tasks run on it."""
 
 from collections.abc import Callable

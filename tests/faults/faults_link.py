@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faults of links: black holes, cuts, garbled bytes and delays at any byte of the exchange."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faults of the manager: killed, interrupted, run twice, wrong clock, damaged files."""
 
 import datetime as dt

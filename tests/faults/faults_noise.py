@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faults of input: garbage around replies, hostile strings in every field."""
 
 import json

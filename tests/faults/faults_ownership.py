@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faults of ownership and heartbeats: two fleets on one login, orphans on silent hosts, a host that hangs."""
 
 import signal

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random sequence of edits, crashes, host losses and returns in one fleet, judged after each convergence."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faults of tasks with standby copies: at most one instance is ever active, and one is in the end."""
 
 import signal

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faults of tasks: ignored signals, forks, crashes, log floods, wrong output."""
 
 from itertools import pairwise

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faults of two managers of one fleet that disagree: each has a state of its own and wants every task elsewhere."""
 
 import json

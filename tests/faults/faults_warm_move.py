@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faults at every step of a warm move, with and without state and hold: the manager killed, or held at the step while
 a host, a link, a supervisor or a disk fails.
 """

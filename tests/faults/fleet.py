@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fleet for fault injection: real hosts, test tasks, and edgectl driven through its command line only.
 
 ``FaultFleet.add_task`` says what should run where; the oracle compares that with the records of the tasks.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Outer process of an emulated computer: persistent disk and power switch.
 
 Run as root: ``host_emulator.py CONFIG.json``, then one command per line on stdin (``on``, ``off``), one JSON

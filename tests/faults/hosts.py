@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two kinds of real host behind one protocol: sshd on a loopback address, and an emulated computer in
 namespaces.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Link faults that a relay can inject; see `relay`."""
 
 from dataclasses import dataclass

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A second manager of a fleet: a state directory, task file and view of the hosts of its own."""
 
 import os

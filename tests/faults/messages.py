@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages of an active task with their sender, as a subscriber in the network of the manager hears them.
 
 They reach the verdict by another way than the records of the hosts: what two senders said at the same time was said

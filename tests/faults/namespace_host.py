@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Emulated computer on this machine: namespaces, disk, sshd, power switch and cable (see `host_emulator`),
 with the manager's network.
 

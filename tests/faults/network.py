@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Network of the manager and the emulated computers; needs root."""
 
 import os

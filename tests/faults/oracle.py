@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Independent oracle: judges by the records of the test tasks and by the kernel, not by edgectl's output.
 
 Shares no code with the product; standard library only. Times are nanoseconds of CLOCK_BOOTTIME, which all

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # Hosts may have Python 3.6, so:
 # ruff: noqa: PTH100, PTH109, PTH110, PTH118, PTH123, RUF005, UP030, UP032
 """Task that records its own life: every process appends its events to a file of its own.

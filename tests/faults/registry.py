@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Registry of faults, injection of one fault, and the result table.
 
 A fault is one function: it prepares the fleet, breaks something, and checks what edgectl reports meanwhile.

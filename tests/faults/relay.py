@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """TCP relay between manager and sshd that injects link faults. Standard library only; one thread per relay.
 
 ``LinkFault`` says which fault occurs after how many bytes. Bytes are counted since the fault was set, over

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Processes, file locks and file modes as the kernel reports them, and bystander processes. Standard library
 only.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A task with standby copies on the hosts of a fleet: its moves, what strikes them, and the verdict on its memory.
 
 The records of the task are of its activities (`standby_task`), so that the oracle counts two that are active at once,

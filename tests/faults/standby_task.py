@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # Hosts may have Python 3.6, so:
 # ruff: noqa: PTH103, PTH110, PTH118, UP030
 """Task with standby copies that records when it is active: each activity is a launch of its own for the oracle.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Emulation of a power loss: a disk that keeps only synced data, loaded as ``sitecustomize``.
 
 File contents are copied to ``$SYNCED_DISK_SHADOW`` when they are synced, and a directory's names when the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages that say who sent them: two senders at once are found, one after the other are not."""
 
 import json

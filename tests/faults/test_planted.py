@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mutation test of the oracle: bugs planted into the product must be caught.
 
 Each mutation changes one line of a copy of the product; the named fault must then fail, and by the oracle's

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Short form of the fault matrix: the most important faults, once each, on the cheapest hosts that support them."""
 
 import os

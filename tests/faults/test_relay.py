@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tests of the TCP relay: effect at each byte, no thread or socket left."""
 
 import socket

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hypothesis strategies for every value of a snapshot, a manager state or a plan."""
 
 from typing import TypeVar

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Completeness of the documents: every field of the model, set to something, survives encoding and decoding."""
 
 from dataclasses import MISSING, fields

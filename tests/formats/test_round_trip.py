@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """encode then decode gives the same value, and the same bytes again."""
 
 import json

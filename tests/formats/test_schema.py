@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """JSON Schemas of documents: what is written is valid, and what the codec refuses by its form is not."""
 
 import json

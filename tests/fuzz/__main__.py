@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fuzz every decoder: ``python -m tests.fuzz --cases 15000 --seed 1 --seconds 900``."""
 
 import argparse

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Commands against a fleet of which one host answers every request with odd values.
 
 The honest host beside it must not notice: its task is placed, stays alone, and is stopped when asked.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Seeded mutations: changed, cut, duplicated and moved bytes, words that confuse parsers, and misplaced JSON
 values.
 """

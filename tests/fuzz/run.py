@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run cases and report those that end with neither a value nor an EdgectlError, or take too long."""
 
 import signal

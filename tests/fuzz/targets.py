@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fuzz targets: every decoder of foreign input, with valid seeds and a reader."""
 
 import contextlib

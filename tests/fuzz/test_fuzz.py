@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Short form of ``make fuzz``, and proof that it finds planted bugs."""
 
 import time

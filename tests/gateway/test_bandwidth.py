@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measuring a link: receive on the robot, send from the edge, one link at a time."""
 
 from edgectl.errors import ConnectError

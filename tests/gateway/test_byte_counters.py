@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replies about byte counters: what is believed of them, and what a script for root may contain."""
 
 from typing import Any

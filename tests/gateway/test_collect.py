@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Probing all hosts in parallel; a failing host affects only itself."""
 
 import threading

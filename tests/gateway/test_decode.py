@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replies of hosts as samples; an invalid reply costs its host the sample."""
 
 import copy

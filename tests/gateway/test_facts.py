@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replies to the doctor as facts; an invalid reply costs its host the answer."""
 
 import copy

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fetching a file in pieces: from the real agent, and from hosts with invalid replies."""
 
 import base64

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Latency in requests and replies: who counts what, and which counts belong to which task."""
 
 from dataclasses import replace

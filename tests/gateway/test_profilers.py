@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replies about profilers as values; a missing or invalid reply affects no other host."""
 
 import pytest

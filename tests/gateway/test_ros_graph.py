@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Requests for ROS graphs, and replies that do not fit."""
 
 from typing import Any

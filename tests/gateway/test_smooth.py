@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Smoothing on the manager: noise is averaged with time weights, and our own starts, stops and moves take
 effect at once.
 """

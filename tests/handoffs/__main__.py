@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measure warm moves over real SSH between two computers in network namespaces, with a line of 2 ms each way (root).
 
     .venv/bin/python -m tests.handoffs --moves 200

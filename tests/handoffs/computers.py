@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two computers in network namespaces and their manager, with a slow line between them (root)."""
 
 import ctypes

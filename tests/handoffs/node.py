@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # Hosts may have Python 3.6, so:
 # ruff: noqa: PTH103, PTH110, UP032
 """Node of a plain TCP task: sends its name, a number and the time to a subscriber while it is active.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ros_listener.py TOPIC`` prints each message and the time in ns at which it came, until its standard input ends.
 
 It runs in the Python that has rclpy.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lifecycle node of ROS 2: ``ros_node.py NODE SENDER`` sends its sender's name, a number and the time while it is active.
 
 It runs on hosts: one file, rclpy beside the standard library.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A subscriber of ROS 2 in a process of its own: the Python of the tests has no rclpy."""
 
 import os

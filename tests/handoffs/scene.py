@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A plain TCP task with a copy, and moves of it between two hosts."""
 
 import shlex

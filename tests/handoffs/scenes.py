@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is moved, by name: a plain TCP task, and a lifecycle node of ROS 2."""
 
 from collections.abc import Callable, Iterator

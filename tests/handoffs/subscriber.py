@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a subscriber of a task hears: every message with its sender, and the gaps between two senders."""
 
 import socket

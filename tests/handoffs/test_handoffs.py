@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Warm moves of a real task: what its subscriber hears, step by step and fault by fault."""
 
 from collections.abc import Iterator

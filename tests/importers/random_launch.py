@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random launch files of ROS 1, most of them valid, to compare readers with each other."""
 
 import random

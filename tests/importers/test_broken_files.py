@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Broken launch files, inventories and requirement files: each message names file, line and what to do."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The commands ``edgectl import``, from files of other tools to a plan."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Launch files of both generations of ROS become task files that edgectl accepts.
 
 ``python -m tests.importers.test_launch_files`` writes the expected files again; read the difference.

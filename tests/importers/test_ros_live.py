@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Running graphs become task files that edgectl accepts; whatever is not known is said."""
 
 import re

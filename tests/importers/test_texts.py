@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Texts that are written reach their readers unchanged: YAML of task files, and words of a command line."""
 
 import json

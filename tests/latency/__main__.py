@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Print the tables of docs/concepts/predicted-latency.md: ``python -m tests.latency [--jobs 600] [--seeds 5]``.
 
 Needs root, and a machine that does nothing else: the column FOREIGN says what it did.

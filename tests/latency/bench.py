@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measure jobs on an edge with a shaped link and loaded cores, and predict them as a plan does."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables of predicted and measured latency: placements under loads, and misses with and without deadlines."""
 
 from collections.abc import Iterator, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The short form of make latency: one placement whose link takes most of the time, and the choice between links."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Programs of one host: a detector that answers frames, the work of others, and the robot that sends frames.
 
     python -m tests.latency.worker serve CORE

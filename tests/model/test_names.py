@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Unknown names are rejected by every command in the same way."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Maps of resources: complete, immutable, and equal by what they hold."""
 
 import copy

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parsing of weights, always normalised to a sum of 1."""
 
 import math

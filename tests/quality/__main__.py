@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The tables of docs/concepts/quality.md, as they stand there: ``make quality``; some five minutes.
 
 ``python -m tests.quality Moves Stability`` prints these alone.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What plans leave out, each figure from fleets of stated seeds."""
 
 from collections.abc import Iterable, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Statements of ``edgectl explain -o json``: the fleet is changed as each says, and planned again.
 
 Nothing here is shared with the code that makes the statements but the scheduler itself.

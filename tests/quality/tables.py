@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The tables of docs/concepts/quality.md: their labels, and how their figures are measured."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence

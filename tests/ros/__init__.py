@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tests on a real ROS: ``make ros``."""

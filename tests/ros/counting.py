@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nodes of rospy for the tests, run by /usr/bin/python3: ``counting.py talk NAME`` and ``counting.py hear NAME FILE``.
 
 The listener writes to its file how many messages it has heard, and from which process the last one came.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Observer of a graph of ROS 2 for the tests: ``graph_names.py FILE`` writes the names of all nodes, each 0.1 s."""
 
 import sys

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Subscriber for the tests: ``hearing.py 1|2 FILE`` appends a JSON line per message of the gateway: [topic, time in s, content].
 
 The content of /diagnostics is {name: [level, message]}.

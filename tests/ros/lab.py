@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A lab for the tests: real ROS on computers in namespaces, each with an address of its own."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A node of rospy for launch files: it subscribes to fixed names, so that the graph shows its remaps."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A node of rclpy for launch files: it subscribes to fixed names and declares what parameters it is given.
 
 ``lab_node2.py ask SECONDS NODE..`` prints what the graph and the nodes' own parameter services say of nodes:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nodes for the tests: ``latency_node.py 1|2 send|beat|hear TOPIC FILE``, with DiagnosticArray, which has a header.
 
 ``send`` publishes 500 messages with stamps 0.5 to 5 s ago, once it has a subscriber, and writes their ages (ms).

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A node of rclpy for the tests: ``lifecycle_node.py NAME``. It publishes /ticks at 20 Hz, offers NAME/ask, and has a
 lifecycle that becomes active after half a second.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A node with a map: ``map_node.py 1|2 SEED HEARD``. It has the map of the file SEED, which the first instance takes,
 or the one that it hears on /map; it writes it to HEARD/$EDGECTL_HOST and publishes it latched on /map.
 """

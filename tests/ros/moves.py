@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Moves of a pipeline between hosts in namespaces: ``python -m tests.ros.moves [1|2]`` prints the table of
 docs/ros.md.
 """

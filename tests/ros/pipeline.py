@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nodes of a pipeline for the tests, of ROS 1 or ROS 2: ``pipeline.py 1|2 NAME ROLE WORDS..``.
 
 ``source OUT HZ BYTES`` sends so many messages, ``relay IN OUT`` sends on what it hears, ``sink IN FILE`` appends the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What roslaunch itself reads: run by the Python that has roslaunch; one JSON object per file on standard output.
 
 Each argument is ``FILE[,ARG:=VALUE..]``.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The launch files of the tests, imported and applied on real graphs: their nodes are up, with the right names, arguments,
 environments, remaps and parameters, as the graph, the kernel and the parameter servers say.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The walk of docs/ros.md on a real ROS: from a launch file to a moved SLAM, its commands as they are printed."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``edgectl export ros`` on real graphs: a subscriber of Debian's ROS 1 and one of rclpy hear the fleet."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A lifecycle node of ROS 2 that moves warm while something dies: never two active, and one in the end."""
 
 import shutil

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Warm moves of a ROS 2 lifecycle node between computers in namespaces, as a subscriber hears them."""
 
 import re

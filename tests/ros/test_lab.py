@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hosts that lose power, and moves of a pipeline, as nodes on other hosts of a real ROS 1 notice them."""
 
 import json

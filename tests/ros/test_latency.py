@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Latency and gap by real messages of ROS 1 and ROS 2: against the sender's record and another subscriber's."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Standby copies of ROS 2 lifecycle nodes: configured, activated and deactivated by the helper of their host."""
 
 import itertools

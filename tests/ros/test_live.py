@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``edgectl import ros --live`` on real graphs: nodes that roslaunch and shells started, beside one of edgectl's own."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One node name used twice in a graph of ROS 2, whose nodes nobody ends: rclpy and Fast DDS, on this machine."""
 
 import os

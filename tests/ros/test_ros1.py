@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What edgectl promises about a graph of ROS 1, on Debian's ROS: roscore, rospy and rostopic as they are."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Questions to a graph of ROS 2: rclpy and Fast DDS from the package index, on this machine.
 
 A helper answers them; it is there while tasks of the host live.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compare the reader of ROS 1 launch files with roslaunch itself, on the corpus and on random files.
 
 Needs Debian's python3-roslaunch, so ``make ros`` runs it.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The state of a task that is the last message of a latched topic: ROS 1 and ROS 2, between two hosts of this machine."""
 
 import os

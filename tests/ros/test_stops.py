@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A stop leaves no process and no name: of nodes that ignore signals, fork, and are respawned under new names."""
 
 import os

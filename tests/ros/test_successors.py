@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Start-first moves of one node name on real ROS: only the new instance makes itself ready, and what its start does
 to the old one is no fault of that.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Byte counters against the interface, for some of the mixes of ``make throughput``."""
 
 import pytest

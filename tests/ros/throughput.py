@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Errors of the byte counters against the counters of the interface, for mixes of traffic between a robot and an edge:
 ``python -m tests.ros.throughput [--window S]`` prints the table of docs/performance.md.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Senders and receivers of one kind of traffic: ``traffic.py KIND ROLE ADDRESS SIZE BYTES_PER_S``.
 
 KIND is tcp, fastdds (rclpy) or cyclone; ROLE is send or receive. Each kind needs its own Python.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A lifecycle node of rclpy for the tests: ``waiting_node.py NAME FILE`` waits for its transitions.
 
 It writes each to FILE, as ``NAME active`` or ``NAME standby``, and publishes NAME on /ticks while it is active.

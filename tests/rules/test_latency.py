@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The model of latency: its closed forms at known points, and against simulated jobs on shared cores."""
 
 from itertools import pairwise

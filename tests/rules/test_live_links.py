@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readings of links: what lowers a capacity, for how long, and which idle links are probed next."""
 
 from dataclasses import replace

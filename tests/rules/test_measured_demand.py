@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Classes of hosts: the label, else cores and nominal memory."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The median is that of the standard library."""
 
 from statistics import median

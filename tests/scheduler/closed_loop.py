@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A fleet in a closed loop: readings with noise, a decision in each cycle, and its moves carried out."""
 
 import random

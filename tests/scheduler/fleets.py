@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shorthand for running the scheduler, and a simulated apply."""
 
 from collections.abc import Mapping

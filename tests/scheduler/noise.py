@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulation of measurement noise: measured loads are off by some points, and the scheduler runs periodically.
 
     python -m tests.scheduler.noise

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measurements for the two scenarios of the paper's Section V, and an independent naive computation of
 equations (1)-(5) as a reference.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The scan in NumPy against the one in Python: the same decisions and rankings, bit by bit."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rules of other schedulers as policies (ADR 130): tables worked by hand, and what no policy may do."""
 
 from collections import Counter

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Choice of a host: affinity, ties, and moves of running tasks."""
 
 import pytest

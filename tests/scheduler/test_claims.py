@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a host reports about a task, against what the manager itself knows of it."""
 
 import pytest

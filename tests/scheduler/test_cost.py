@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Cost of moves (ADR 0018): once five downtimes are measured, a move must pay for its expected downtime.
 Worked by hand.
 """

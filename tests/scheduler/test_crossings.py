@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Changes of an explanation in the whole plan: each is made, and planned again on both sides of it."""
 
 from dataclasses import replace

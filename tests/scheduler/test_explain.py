@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Explanations checked against the scheduler itself: every flip is applied, and just before it nothing
 changes.
 """

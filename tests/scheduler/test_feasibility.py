@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Feasibility: candidate hosts, capacity checks, and the reasons given where a task does not fit."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The cyclic collector rests while a plan is made, which leaves nothing for it to find (ADR 103)."""
 
 import gc

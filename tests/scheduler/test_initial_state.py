@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Initial state of a plan: completed, unmanaged, held and doubled tasks; unreachable hosts and robots."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The term UT_latency and hard deadlines: the example of the docs, properties, both scans."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rankings that are made when they are read, and bounds that spare the second look at a task."""
 
 from dataclasses import replace

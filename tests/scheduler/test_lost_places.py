@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tasks of hosts that left the inventory, or have another address: held until their place is seen or fenced
 (ADR 0040).
 """

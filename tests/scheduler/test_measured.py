@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measured demand by hand: the value used on each host, the charged load, and the explanation."""
 
 from collections.abc import Sequence

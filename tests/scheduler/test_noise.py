@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measurement noise, short form: the paper's rule moves tasks repeatedly, the default policy does not, and
 still reacts to a lasting load.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pins of operators: what they decide, and every case in which they do not count."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The best plan: as good as the best of all placements, each of its bounds true, and never worse than others."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Properties of the best plan, on any fleet: never worse, every bound true, and settled where it says so."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The best plan and the rebalanced one under rules between tasks: none is broken, and every bound is true."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Moves forced by load: slack, dwell and max_moves (ADR 0061); fleets without room (ADR 0062)."""
 
 from dataclasses import replace

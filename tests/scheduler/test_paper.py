@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's two scenarios in every weight variant: the shipped files, every number checked against a naive
 computation.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rules between tasks: against every placement of small fleets, and case by case."""
 
 from collections.abc import Mapping, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The other schemes: paper, static, local (ADR 0015)."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Percentiles over known points, worked out by hand."""
 
 from edgectl.model.manager_state import MeasuredDemand

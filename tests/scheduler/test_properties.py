@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Properties that hold for every fleet (safety: a bad thing never happens)."""
 
 from collections.abc import Mapping

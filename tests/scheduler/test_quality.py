@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Short form of ``make quality``: what the page on quality states holds on a few fleets, and its tables are
 those of the program.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rebalancing: the sum of utilities, computed here from the plan's expected loads, never falls."""
 
 from dataclasses import replace

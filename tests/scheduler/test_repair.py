@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Repair: tasks that others can make room for are placed, and nobody else is worse off for it."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replacement of tasks on unreachable hosts (ADR 0020): held until the copy there is certainly gone; on
 return the newer copy wins.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reservations: a running task counts for its demand or its measured usage, whichever is more (ADR 0060)."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The optimized ranking loop compared with its reference, and rankings of many hosts."""
 
 import random

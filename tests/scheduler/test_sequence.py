@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Order of placement: predecessors first, then by key, independent of the order in the file."""
 
 import pytest

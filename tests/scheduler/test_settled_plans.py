@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stability: a plan made right after the apply of a settled plan changes nothing."""
 
 import pytest

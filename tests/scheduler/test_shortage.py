@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a fleet lacks, whatever the placement."""
 
 from dataclasses import replace

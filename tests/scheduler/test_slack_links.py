@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Links that no tasks can fill are left out of programs, and only those."""
 
 from itertools import combinations

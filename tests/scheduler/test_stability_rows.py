@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The fewest moves of plans that stand: no placement of a small fleet that stands has fewer (ADR 102)."""
 
 from collections.abc import Iterator, Mapping

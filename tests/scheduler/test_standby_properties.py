@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Properties of inactive copies that hold for every fleet."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Places of inactive copies, with the arithmetic: the runner-up hosts, room, patience, and the failover."""
 
 from collections.abc import Mapping

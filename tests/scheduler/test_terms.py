@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Capacity, expected load and the resource terms, worked by hand."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ties go to the greater free share; names decide between equal hosts only."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hosts on which another manager may have placed a task since this one last saw all hosts: silent ones (ADR 0055), and
 those that the inventory lacks (ADR 0068).
 """

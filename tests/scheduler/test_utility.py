@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Equations (1)-(4) and UT_task, worked by hand."""
 
 import pytest

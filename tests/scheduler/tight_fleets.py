@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fleets that are nearly full, of which it is known that every task has room."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All interleavings of two managers: ``python -m tests.simulation --count 10000 --seed 1``."""
 
 import argparse

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Interleavings of two managers that share an etcd, on a split network.
 
 The hosts decide by the agent's own rules of the lease (``lease_rules``), the managers sign by their own lease

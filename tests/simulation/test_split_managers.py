@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Short form of the interleavings on split networks, and the proof that they find what is left out."""
 
 import pytest

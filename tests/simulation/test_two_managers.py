@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Short form of the interleavings of two managers, and the proof that they find a missing rule."""
 
 import pytest

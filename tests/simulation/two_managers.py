@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Interleavings of two managers over simulated hosts.
 
 The hosts decide by the agent's own rules of the lease (``lease_rules``), each on its own clock; the managers sign by

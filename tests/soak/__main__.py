@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Soak test: ``python -m tests.soak [CYCLES [CYCLES]]``, a long watch over simulated hosts, then one over
 real sshd hosts. Fails on growth.
 """

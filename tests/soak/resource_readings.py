@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Resource readings of a process, and growth between two of them."""
 
 import ctypes

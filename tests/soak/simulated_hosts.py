@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Watch over simulated hosts that die, return, lose tasks and refuse actions, on a clock that jumps."""
 
 import random

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Watch over real sshd hosts that lose power in turn and return."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Short form of ``make soak``: a few hundred cycles without growth, and proof that growth is found."""
 
 import threading

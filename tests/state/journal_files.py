@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reading journals in tests."""
 
 from pathlib import Path

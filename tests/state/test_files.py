@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Manager state, measured links and directories: private, written atomically or not at all, never fatal when
 damaged.
 """

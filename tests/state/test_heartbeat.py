@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Heartbeat times never go back and never extend a silence; fences are cleared when a host answers."""
 
 import threading

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The journal: chained, synced, and explicit about torn or damaged entries."""
 
 import json

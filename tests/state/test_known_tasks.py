@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tasks that are gone leave the history's known state: a host that invents names does not make it grow."""
 
 import sqlite3

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One holder at a time; the lock is released when its holder dies."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The history in SQLite: records are read back, size is bounded, and no failure is fatal."""
 
 import contextlib

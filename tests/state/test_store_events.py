@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Events derived from consecutive snapshots and an apply between them, worked out by hand."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The history under failures: killed writers, concurrent writers, a full disk, a damaged file. None is fatal,
 all are reported.
 """

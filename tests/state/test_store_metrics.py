@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Application metrics in the history: stored on change, by start, within bounds, also in a file of an older
 edgectl.
 """

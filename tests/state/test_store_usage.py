@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The samples for measured demand: the newest, of this specification, on these hosts, after the start."""
 
 from pathlib import Path

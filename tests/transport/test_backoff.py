@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A host that does not answer is tried less and less often; one that answers, every time."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The framed call: noise never changes a value, and every failure has an error of its own."""
 
 import hashlib

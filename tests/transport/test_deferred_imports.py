@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fabric without the modules that it imports for nothing: each test in a process that has imported nothing yet."""
 
 import subprocess

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The client of etcd against a real one, and against servers that are none."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The fake fleet uses the real protocol."""
 
 import pytest

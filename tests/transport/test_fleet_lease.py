@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The lease of a manager that stands still: over before the host's own, whatever the host was slow with."""
 
 import pytest

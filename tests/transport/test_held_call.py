@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Held requests over every transport to a host of this machine: prepared, then one line until the effect."""
 
 import statistics

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hosts and servers that send too much: their own call fails, and the memory of the manager stays small."""
 
 import hashlib

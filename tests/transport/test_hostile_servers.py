@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """SSH servers that attack the manager: each costs its own call, little memory and little time of the processor.
 
 All attacks run at once against one process of the manager, which asks an honest host meanwhile.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The known_hosts reader compared with ssh on the same lines."""
 
 import base64

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Commands on this machine: deadlines, bounded output, no leftovers."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Special cases of the user's own ssh program; the rest is in test_ssh, for both transports."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Connection reuse: one login per host, a new one after a loss, no second attempt after a refusal."""
 
 import threading

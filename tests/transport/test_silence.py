@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A host that lets a deadline pass costs a run that deadline once, whatever else is to be done there."""
 
 import pytest

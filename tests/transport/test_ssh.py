@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Both SSH transports against real servers: same features, same errors."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keys, agents and passwords of the paramiko transport."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every exception of paramiko is mapped to an error of edgectl."""
 
 import importlib

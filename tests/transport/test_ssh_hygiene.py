@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paramiko transport leaves nothing behind, executes no foreign code, and retries on busy servers."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """ssh_config as OpenSSH reads it, since OpenSSH evaluates it."""
 
 import getpass

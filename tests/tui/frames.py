@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures for the live view, and a view to press keys in."""
 
 import asyncio

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The live view, key by key, without a terminal."""
 
 import threading

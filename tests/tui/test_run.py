@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the view asks of a fleet: probes, history, logs and marks, for real over simulated hosts."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An edge and a robot in network namespaces of their own, with a cable between them that tbf shapes. Needs root."""
 
 import os

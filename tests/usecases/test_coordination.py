@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Managers of one fleet that share a real etcd, over simulated hosts of which each may see only a part."""
 
 import dataclasses

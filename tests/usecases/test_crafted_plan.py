@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A plan file that somebody else wrote: nothing in it doubles a task, breaks a rule or stops what should run."""
 
 import dataclasses

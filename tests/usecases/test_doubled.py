@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two living instances of a task: said after a change and by status, and resolved by the newest generation."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """drain: tasks leave through their handoff contracts, or the remaining ones are reported."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """When a watch looks again for the sake of a silent host. Pure."""
 
 from typing import Any

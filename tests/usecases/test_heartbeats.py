@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Heartbeats under a watch: a host that hangs does not keep them from the others."""
 
 import threading

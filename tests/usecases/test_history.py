@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """History read back from the journal, and plans towards an earlier revision."""
 
 import dataclasses

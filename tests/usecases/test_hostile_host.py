@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A host of the fleet that lies: what it reports decides nothing about tasks that were placed elsewhere."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """drain and rollback die at every failpoint; the same command again, or a plain apply, ends with exactly one
 instance of each task.
 """

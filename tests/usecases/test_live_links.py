@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Live capacity of links over real sockets on a shaped cable: passive readings, probes of idle links, and their bounds."""
 
 from collections.abc import Iterator

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measured downtimes of moves affect later moves (ADR 18), with the real apply, manager state and scheduler."""
 
 from pathlib import Path

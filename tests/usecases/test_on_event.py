@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Delivery of events to the programs of ``on_event``: real programs, real files, a real courier process."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """move, unpin and start: the mark in the manager's state, what refuses it, and what an apply makes of it."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random seeded sequences of events over simulated hosts: applies, deaths of the manager, lost, returned and
 rebooted hosts, edits.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Noise of readings from the history into the snapshot, and from the snapshot alone into the decision."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Unattended runs measure once more, and longer, before tasks move because of load (ADR 74)."""
 
 from pathlib import Path

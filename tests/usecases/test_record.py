@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """History records of the use cases, over simulated hosts."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The manager dies at every failpoint of an apply; the next plain apply ends with exactly one instance of
 each task.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sharing one probe among concurrent requests."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Repeated status queries: one session per host, hosts that come and go, and a history that grows with each
 query.
 """

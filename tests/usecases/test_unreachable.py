@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Unreachable hosts: their remembered state, the state of their tasks, and the operator's commands."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The use cases over simulated hosts, with the real scheduler, lock, journal and manager state."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The watch loop over simulated hosts, with the real scheduler, lock, journal, manager state and history."""
 
 import dataclasses

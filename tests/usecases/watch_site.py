@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A watch over simulated hosts, on a clock that jumps instead of waiting."""
 
 import dataclasses

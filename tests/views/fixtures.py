@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One plan of each interesting kind, decided for real from the committed snapshot."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """docs/reference/outputs.md: python -m tests.views.outputs_page > docs/reference/outputs.md"""
 
 from edgectl.views.glossary import HEADINGS, list_keys

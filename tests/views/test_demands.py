@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The source of every demand, in the forms for people."""
 
 from dataclasses import replace

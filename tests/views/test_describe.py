@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """describe: golden texts at 80 and 160 columns; secrets hidden; control characters escaped."""
 
 import json

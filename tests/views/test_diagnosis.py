@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The doctor's findings as a person sees them: at 80 and 160 columns, in colour and without, and in a pipe."""
 
 import json

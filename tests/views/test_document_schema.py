@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """JSON Schemas of the documents that -o json prints: every view's document is valid, with no other keys."""
 
 from functools import cache

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A list of nothing: no line on standard output, which scripts count, and a note that says so."""
 
 import pytest

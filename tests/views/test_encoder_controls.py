@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Characters that drive a terminal stand as escapes in every form, and the document stays the same."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Errors: position, line, caret, hint; the same records as JSON and as annotations."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """explain as a person and as a program read it."""
 
 import json

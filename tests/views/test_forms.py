@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every form of every value: harmless text, nothing cut, documents that parse."""
 
 import csv

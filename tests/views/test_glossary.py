@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every document of every view, key by key, against the glossary; and the page that lists it."""
 
 import dataclasses

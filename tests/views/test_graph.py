@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The picture of a plan, in both languages."""
 
 from edgectl.executor.diff import plan_from_assignment

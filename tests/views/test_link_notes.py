@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Notes of a plan on links that carry less than their nominal capacity, and on those that are partly seen."""
 
 from dataclasses import replace

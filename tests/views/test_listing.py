@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """get: what is listed, and what counts as a change."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A watch as a person sees it, and as a program does: the sum of its cycles, its lines, its objects, its screen."""
 
 import dataclasses

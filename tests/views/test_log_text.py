@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Logs without what drives a terminal, wherever their parts are cut."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every read command's view x form x width x colour: what holds of all tables that people read.
 
 The same snapshots as tests/views/test_forms.py and its neighbours; no host is asked. At 60 and 80 columns a line may be

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Notes on tasks of other fleets."""
 
 from dataclasses import replace

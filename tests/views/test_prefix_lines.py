@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lines of a log with the name of their task, however the log is cut into parts."""
 
 from random import Random

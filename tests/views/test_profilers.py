@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The profilers as a person and as a program sees them."""
 
 import json

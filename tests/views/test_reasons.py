@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every reason and every rule has words; the numbers in them are the decision's own."""
 
 import pytest

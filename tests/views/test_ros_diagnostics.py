@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Levels of the fleet in ROS."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Inactive copies in the views: plan, status, listing, top, description and explanation."""
 
 import json

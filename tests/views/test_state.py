@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """States in words: crash loops, last words, limits."""
 
 from dataclasses import replace

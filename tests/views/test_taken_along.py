@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What moves take along of the memory of a task, in explanations and wide plans."""
 
 import json

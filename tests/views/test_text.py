@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Columns that fit the terminal, and what a stream can show."""
 
 import io

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """top: golden texts at 80 and 160 columns, in ASCII and piped; figures worked by hand."""
 
 import json

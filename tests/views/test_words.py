@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A person reads words where a program is told a code or a sign."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operations ``profiler-start``, ``profiler-stop`` and ``profiler-status``: at most one resident profiler per
 host.
 """

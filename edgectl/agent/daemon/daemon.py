@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Resident profiler: one sample per period into a ring in memory, from which a probe reads without a sample
 window.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pid file and lock of the one profiler of a host, in a directory beside the tasks.
 
 The profiler holds the lock while it lives.

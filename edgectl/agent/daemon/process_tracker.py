@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tracker of a host's tasks from sample to sample: their known processes each time, the whole process table
 only after a change.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measurements from the resident profiler: its smoothed rates, everything else as it is now.
 
 No sample window passes.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ring of the profiler's samples: an unnamed file of fixed size in memory, which no disk holds and which
 never outlives the profiler.
 

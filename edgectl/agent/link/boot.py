@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Boot program: load the agent from its cache or from standard input, check its hash, run one request.
 
 The text of this file is sent on standard input after that of ``stub.py``, which runs it in its own namespace,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Cache of the agent on its host: the archive, and the code compiled from it, sealed."""
 
 import marshal

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """JSON with the C half of module json alone.
 
 ``import json`` takes 10 ms of CPU for what it brings along (re, enum, collections): more than the rest of a

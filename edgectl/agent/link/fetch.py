@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operation ``fetch``: one piece of a file that a task wrote; the manager requests the pieces one by one."""
 
 import os

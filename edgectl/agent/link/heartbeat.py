@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Heartbeat of a host: the time of its last request, recorded by every request.
 
 Measured in seconds since boot, suspended time included, so that no change of the wall clock matters. Where

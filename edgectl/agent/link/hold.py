@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hold a prepared request until the manager lets it go on."""
 
 import os

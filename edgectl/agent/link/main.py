@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Dispatch of one request to its operation, and the reply.
 
 Each operation is imported on demand: start-up is most of the cost of a request.

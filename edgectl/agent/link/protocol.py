@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Protocol between manager and agent: operations, keys, states, limits, name rules; what both sides run.
 
 Valid for Python 3.6, without imports: the agent loads it on the host, the manager loads the same file.

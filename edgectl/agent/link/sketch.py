@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sketch of many values (ms) in a bounded number of logarithmic buckets; what both sides run (ADR 0117).
 
 A bucket holds the values from one bound to the next, 2 % above it; a quantile is told by the middle of its

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """First program of a request: find the boot program as an earlier request compiled it, or compile it.
 
 The text of this file is sent on standard input before that of ``boot.py``, which is compressed: few requests

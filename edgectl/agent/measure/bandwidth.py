@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operations ``sink`` and ``send``: throughput of a link, measured by sending for a bounded time (``probe
 --bandwidth``).
 """

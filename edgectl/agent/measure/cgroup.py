@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Limits and usage of control groups v1, v2 and hybrid; ``root`` is another tree in tests.
 
 A ``0::PATH`` line in /proc/self/cgroup alone is no evidence: on hybrid systems there are no controllers

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Byte counters of nftables per robot address, which ``edgectl counters install`` made (ADR 104).
 
 They see all protocols. The kernel shows them to root only: another user reads them by the one command that a

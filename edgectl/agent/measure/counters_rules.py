@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rules of nftables that count the bytes of each robot address, and the scripts that install and remove them
 (ADR 104).
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operation ``counters``: install, remove and show the byte counters of nftables for this fleet (ADR 104)."""
 
 import os

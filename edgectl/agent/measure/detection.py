@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rules that find the processes of an unmanaged task: a pattern of its command line, or its ROS node."""
 
 import os

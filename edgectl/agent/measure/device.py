@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Device profiler: CPU and memory, capacity and usage, and load, temperature and GPU where the host shows
 them.
 

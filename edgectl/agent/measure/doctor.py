@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operation ``doctor``: facts about this host that may cause trouble; the manager judges them.
 
 ``root`` is another tree in tests.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Latency of tasks: every value counted in a sketch, since the start of the instance and of the last minutes.
 
 Whoever sees the values (the supervisor of the task, or the reader of a topic) counts them and keeps the

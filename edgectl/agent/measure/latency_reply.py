@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Latencies in the reply to a probe: from the files of those who count, who are given their rules here."""
 
 import os

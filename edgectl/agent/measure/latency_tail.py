@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Values of one metric as the task appends them to its metrics file: each is read once and counted."""
 
 import os

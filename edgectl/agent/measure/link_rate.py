@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Present capacity of a link, by the kernel's account of a connection that the network limits.
 
 A sender that always has data to send learns what the path carries. tcp_info says when that is so: its

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operation ``sample-link``: rate of an idle link, by sending to a sink for a tenth of a second at most.
 
 Bounded in time, in bytes and in rate. The connection is reset at its end, so that nothing of it stays in the

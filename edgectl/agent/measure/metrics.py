@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Application metrics: lines ``name value`` that a task appends to the file in $EDGECTL_METRICS.
 
 A task may write anything, at any rate: only whole lines near the end are read, lines that are no metric are

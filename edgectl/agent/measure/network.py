@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Network profiler: bytes/s between this host and each robot, round-trip time, reachability, and totals per
 interface.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operation ``probe``: host, links and tasks of this host in one document."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Process table, clock and files of /proc, read directly: psutil costs several times as much for lists."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bit rate of the radios of this host, as their drivers state it.
 
 It is a nominal rate, above what TCP gets, and a live one: drivers lower it with the quality of the signal.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """TCP connections with their byte counters, queried from the kernel (NETLINK_SOCK_DIAG): no tool needs to be
 installed.
 """

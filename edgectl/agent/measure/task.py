@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Task profiler: state, CPU, memory and traffic of each task's process tree, and detection of unmanaged
 tasks.
 """

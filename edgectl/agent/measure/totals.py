@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Counters of this host since boot and of its tasks since their start: means over any time are from them."""
 
 from ..link.fast_json import Document

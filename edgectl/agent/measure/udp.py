@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """UDP sockets: the kernel has no byte counters for them, so of their traffic only its existence is known."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Wi-Fi of this host: level of the signal, repeated frames, and the access point (ADR 105).
 
 From iw(8) where it is installed, else from /proc/net/wireless and the wireless extensions. Nothing is asked

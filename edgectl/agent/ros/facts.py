@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Facts about ROS on this host, for ``edgectl doctor``."""
 
 import os

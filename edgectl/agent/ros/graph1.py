@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Questions to the graph of ROS 1, asked of its master and of the nodes themselves.
 
 The master forgets nobody who did not say goodbye, so what it says is asked of the node too. A message is read

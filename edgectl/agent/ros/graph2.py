@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Questions to the graph of ROS 2, asked of a helper that stays while tasks of this host live.
 
 Who joins a graph of ROS 2 needs a second or two until it knows the others. So one helper per host and domain

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operation ``hear``: when this robot hears a task, by messages on a topic or by a command that succeeds.
 
 A watcher in a process of its own begins before a move and is asked at its end for the longest silence.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Helper that knows the graph of ROS 2: one per host and domain, run by the Python of the set-up files.
 
 The agent sends its text to ``python3 -``, and what it needs of ROS it finds there. It answers one question

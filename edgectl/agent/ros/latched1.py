@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Program that reads the last message of a latched topic of ROS 1, or offers it to the nodes of a task.
 
 Run as ``python3 -c TEXT save|load`` with what it needs in its environment; the state is standard output or

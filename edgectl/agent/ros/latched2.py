@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Program that reads the last message of a latched topic of ROS 2, or offers it to the nodes of a task.
 
 Run as ``python3 -c TEXT save|load`` by the Python of the set-up files; the state is standard output or

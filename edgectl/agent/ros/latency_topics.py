@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Latency of stamped messages: a process beside the tasks of this host listens to topics and counts ages.
 
 A probe leaves the rules and reads the counts; the process ends when no probe has asked for a while.

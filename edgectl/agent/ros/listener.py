@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Child process that listens to topics in the environment of the set-up files, read line by line."""
 
 import _signal as signal

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Listener to topics, run by the Python of the set-up files: one line for each message.
 
 The agent sends its text to ``python3 -``; arguments are the version of ROS and the topics. Lines: ``heard``,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operation ``graph``: the nodes of a running ROS graph, each with the process that it is on this host.
 
 Nothing is started but, for ROS 2, the helper that answers questions to the graph.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Placeholders that only the host can fill in: its own address on the way to the robots, those of others."""
 
 from ..link.errors import RefusalError

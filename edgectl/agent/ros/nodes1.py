@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nodes of a running graph of ROS 1, as the master and the nodes themselves state them."""
 
 import time

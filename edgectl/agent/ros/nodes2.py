@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nodes of a running graph of ROS 2, as the helper sees them, and their processes.
 
 The graph does not state processes; the ids of Fast DDS do.

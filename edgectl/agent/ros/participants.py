@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whose a node, topic or service of a ROS 2 graph is: processes read off the identifiers of writers.
 
 The identifier of a writer of Fast DDS holds the vendor, the host and the lower half of the process id. That

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A question to the ROS graph, asked in a child process: the agent goes on meanwhile, and can give it up."""
 
 import _signal as signal

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Registrations at a ROS 1 master: which are of given processes, and removal of those of dead nodes.
 
 A master forgets nobody who did not say goodbye. It compares the address (``caller_api``) at each removal, so

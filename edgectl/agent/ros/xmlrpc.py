@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """XML-RPC calls to the master and the nodes of ROS 1: texts and lists out, any value but structures in.
 
 Package xmlrpc costs 60 ms of CPU to import on a small host, more than the question itself.

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Start, supervision, state and end of tasks."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Activation of one instance by its supervisor, which obeys the record of the role.
 
 A new process is inactive. As soon as it can be activated, it is, where the record says ``active``; the

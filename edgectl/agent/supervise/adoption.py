@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Adoption of tasks that the first release, which knew no fleets, left on this host, and of former names of
 this host.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Liveness check of one task: asked again and again while it runs."""
 
 import time

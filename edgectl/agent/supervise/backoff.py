@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Restart back-off of failed commands (pure).
 
 Delay 1 s doubling to 300 s, +-25 % jitter; reset after 600 s of health; at most 5 restarts in 600 s, then

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Grants of the fleet by this host, as every probe reports them; loaded without the rest of the lease."""
 
 import os

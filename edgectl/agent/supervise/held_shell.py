@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A command of the user that is prepared and then waits: its shell has sourced the set-up files and run the
 prelude, and needs one line to go on. It holds a lock for as long as any of its processes lives.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Launch of a supervisor or profiler from the agent: a session of its own, inside a systemd scope where
 requested.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lease of the fleet on this host: one manager at a time changes it.
 
 Everything is measured in seconds since boot on this host's own clock. The record is durable before a grant to

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rules of the lease of a fleet on one host, on documents and seconds of this host alone. Pure.
 
 Record: ``holder`` (a manager), ``session`` (one hold of it), ``epoch`` (counts the sessions, for ever),

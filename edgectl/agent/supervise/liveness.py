@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Liveness of a task and its processes, decided by the kernel and not by a file.
 
 A task lives while its lock is held (supervisor and task inherit it) or any process of this user has its

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lock of a task or profiler: taken by its supervisor, inherited by its processes."""
 
 import fcntl

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Log files of a task: bounded writer, reader across rotations, tail."""
 
 import os

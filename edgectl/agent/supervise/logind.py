@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Settings of systemd-logind that decide whether a task survives the end of the login.
 
 ``root`` is another tree in tests.

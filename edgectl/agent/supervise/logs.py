@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operations ``logs`` and ``follow``: the log of a task as text or as a stream."""
 
 import select

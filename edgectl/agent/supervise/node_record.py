@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Record of the ROS nodes of a task.
 
 Of ROS 1: ``master``, ``nodes`` (name -> address), ``ports`` on which its processes listen, after so many

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """ROS nodes of an instance: a record of their names while it runs, and the end of these names with it.
 
 The supervisor of a task keeps the record, so that a stop knows what was registered even of nodes that were

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Living tasks on this machine that are not those of the host of this request: of this fleet under another
 host name, and of other fleets. They are listed and never touched.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readiness check of one task: repeated with growing pauses until it succeeds once."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Small documents in files of fixed size, rewritten in place: a full disk or a power cut never loses the last
 valid one.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Record of the role of an instance: whether its task is active here, or it waits as a standby.
 
 ``instance``, ``role``, ``generation`` of the last change, ``switching`` (a change is under way, or was left

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Systemd scopes (``runtime: systemd``): the same supervisor in a scope of the user's systemd, which provides
 a control group with limits.
 

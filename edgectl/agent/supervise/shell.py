@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shell commands of the user: run by bash where the host has it (ROS set-up files need it), else by sh.
 
 Bounded in time and output.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Signals to processes identified by pid and start ticks, by pidfd where the kernel has it, and the order of
 signals of a stop.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Start of a command in a clean process: signals, descriptors and session of supervisor and task."""
 
 import _signal as signal

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Checks of a spec, run by its supervisor: by command, or by a question to the ROS graph."""
 
 from ..link.fast_json import Document

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operation ``start``: at most one living instance of a task on this host, however many managers ask, however
 often.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operations ``save-state`` and ``load-state``: run what prints the state of an instance, and what reads it.
 
 Neither the state nor more than the end of a command's error output is ever part of a reply.

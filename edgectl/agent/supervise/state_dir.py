@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """State directory of this host: BASE/agent-state/FLEET/hosts/HOST/tasks/TASK, directories 0700, files 0600,
 no links followed.
 

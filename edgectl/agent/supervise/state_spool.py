@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Spool file of a task's state on its way to another host, and the pieces in which it travels.
 
 It is private (0600), in the directory of the task, and named after nothing that is in it. A stop and a start

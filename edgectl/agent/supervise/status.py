@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operations ``status``, ``wait`` and ``mark``: tasks of this host without measuring."""
 
 import os

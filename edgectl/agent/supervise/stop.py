@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operation ``stop``: end the whole process tree, gently and then by force, with the kernel's proof that
 nothing is left.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mark of an instance whose successor starts on another host while it still runs: a start-first move.
 
 Two nodes of one ROS name do not bear each other: the master of ROS 1 shuts the first one down, and in ROS 2

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Supervisor of one task: starts it, writes its log, restarts it by policy, records its end, reaps its whole
 tree.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operations ``activate`` and ``deactivate``: make an instance active or inactive, proven by its record.
 
 Everything that takes long is done before ``go``. After it the request checks once more what may have changed,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lock of changes of the role of a task: held by the request or the supervisor that makes one.
 
 Its command inherits it, so that nothing else changes the role while a command lives whose agent was killed.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operation ``takeover``: a new supervisor for a task that lives although its supervisor was lost.
 
 The lock of the task cannot change hands: its processes hold it, and the kernel gives it to nobody else while

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Transitions of an instance, prepared and then run by a request: a command, or one of a ROS 2 lifecycle."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The commands experiment run and experiment show."""
 
 import os

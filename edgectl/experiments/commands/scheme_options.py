@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The options of replay and simulate that select the schemes to compare."""
 
 import math

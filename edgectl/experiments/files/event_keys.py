@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keys of ``events:`` in scenario and experiment files: time or condition, repetition, and the changes."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readers of ``events:`` in scenario and experiment files: what its keys say together, and of which fleet."""
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reader of experiment files (``edgectl experiment run``)."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Inventory and task file that an experiment or a scenario names, and references to what is in them."""
 
 from collections.abc import Iterable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reader of the metadata files of ROS map_server."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Documents of experiment runs and their trials (docs/reference/files.md), and the digest of a trial's
 conditions.
 """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Directory of an experiment run: ``run.json`` and a file per trial.
 
 It is self-contained and can be copied.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reader of scenario files (``edgectl simulate``)."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reader of sweep files (``edgectl simulate sweep``)."""
 
 from collections.abc import Iterator, Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files of results of a sweep: one for each world, named by its digest, so that none is computed twice."""
 
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Worlds of a sweep: settings applied to a fleet, a scenario and the policy of its tasks. Pure."""
 
 from collections.abc import Callable, Mapping

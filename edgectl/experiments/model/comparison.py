@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results of comparing schemes: replays, simulations and experiments."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Experiments on real hosts: specification, trials and progress."""
 
 from collections.abc import Callable, Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Events of a mission: what changes, when, how often; and the record of what happened."""
 
 from collections.abc import Callable, Collection, Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scenario of a simulation: hosts, jobs of the mission, timing; and the result of a run."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Schemes to compare: each combination of policies, weights and move margins, under a name."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence

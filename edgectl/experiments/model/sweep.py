@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sweeps: a mission under several schemes in many worlds, and the results of each world."""
 
 from collections.abc import Mapping

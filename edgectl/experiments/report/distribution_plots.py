@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Distributions by scheme: values, median, and quartiles and range if there are enough values."""
 
 from collections.abc import Callable, Mapping, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Marks of events in figures: a dotted line where one begins, shade until it is undone, a sign by kind."""
 
 from collections.abc import Iterable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Style of all figures: sizes, colours, fonts, panels; and export as SVG and PDF.
 
 Lengths are in inches. Text stays text in SVG and is embedded as TrueType in PDF, so that both can be

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gantt charts: a panel per scheme, a row per task, a bar per placement in the colour of the host."""
 
 from collections.abc import Collection, Sequence

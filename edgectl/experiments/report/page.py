@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The report as a self-contained HTML page without scripts. jinja2 escapes all values."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence

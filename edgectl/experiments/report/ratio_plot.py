@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ratios of the times of missions with their intervals: a row per comparison of two schemes."""
 
 from matplotlib.axes import Axes

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The files of a report: the HTML page, and each figure as SVG and PDF.
 
 Figures are drawn without a display and without changing matplotlib's global state.

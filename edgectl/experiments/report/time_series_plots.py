@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Time series: a panel per scheme and host (or task), a line per trial and a thick one for the mean."""
 
 from bisect import bisect_right

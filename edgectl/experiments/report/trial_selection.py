@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Selection of a run's trials, and the list of missing ones."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The answer of a comparison in one sentence, with its interval (ADR 131)."""
 
 from edgectl.experiments.model.comparison import Interval, SchemeComparison

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Comparisons of schemes as a table and as documents."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results of an experiment on real hosts: the paper's table as text, Markdown and a document."""
 
 from collections.abc import Iterator, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The score of a robot's map against ground truth."""
 
 from edgectl.formats.document import Document

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Progress of an experiment on standard error: a live line on a terminal, otherwise a line per trial."""
 
 import contextlib

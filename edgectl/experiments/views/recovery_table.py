@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Events of a mission and the recovery after them: a row per scheme, a column per kind; and as JSON types."""
 
 from collections.abc import Iterator, Sequence

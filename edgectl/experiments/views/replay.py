@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results of a replay: a row per scheme as text, and a document."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's table, transposed: a row per scheme, a column per metric; of simulations and experiments."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results of a simulation beside reference values of real hosts: text and a document."""
 
 from collections.abc import Iterator, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results of a sweep: a row for each world, as text and as a document."""
 
 from collections.abc import Iterator, Mapping, Sequence

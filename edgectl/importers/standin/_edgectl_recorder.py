@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recording stand-in of launch and launch_ros: notes the processes that a description would start.
 
 It runs in a child process, in which the directory of this module is first on sys.path.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Child process that evaluates one launch file: JSON on standard input, JSON on standard output.
 
 What the file itself prints goes to standard error.

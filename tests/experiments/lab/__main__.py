@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``make experiment``: the shipped experiment on hosts of its own, its table, its page and its figures.
 
     python -m tests.experiments.lab [--out runs/patrol] [--repetitions 3] [--policies local,static,utility] [--plain]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hosts for the shipped experiment: computers in namespaces with CPU limits and shaped links, or plain SSH servers on this machine."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The programs of the patrol as modules; hosts run them as they stand, so they are no package."""
 
 import sys

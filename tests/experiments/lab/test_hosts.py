@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The hosts of ``make experiment``, as good as this machine has them, are what the shipped experiment needs."""
 
 import json

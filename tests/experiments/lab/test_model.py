@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The scenario of the shipped experiment has the numbers and the events of its mission."""
 
 import math

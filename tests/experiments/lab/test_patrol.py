@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The mission's programs do real work, and do it right: the world, the sensors, the map, the detection, the drive."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The short form of ``make experiment``: a tiny patrol on the local fleet, under one scheme, once."""
 
 import json

@@ -1,4 +1,5 @@
 #!/usr/bin/python3
+# SPDX-License-Identifier: Apache-2.0
 """A node for the tests that ends badly: ``stubborn.py 1|2 deaf|forks|dies``, of ROS 1 or ROS 2.
 
 ``deaf``: it ignores INT and TERM. ``forks``: the same, with another such node in a session of its own, whose

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stand-in of the package ament_index_python."""
 
 from ament_index_python.packages import (

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stand-in of ament_index_python.packages."""
 
 from pathlib import Path

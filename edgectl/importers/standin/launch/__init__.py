@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stand-in of the package launch."""
 
 from collections.abc import Iterable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stand-in of launch.conditions."""
 
 from _edgectl_recorder import Context, Recorded, perform, perform_boolean

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stand-in of launch.launch_description_sources."""
 
 from typing import Any

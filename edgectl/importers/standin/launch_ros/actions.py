@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stand-in of launch_ros.actions."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stand-in of launch_ros.descriptions."""
 
 from _edgectl_recorder import Recorded

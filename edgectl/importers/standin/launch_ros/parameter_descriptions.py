@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stand-in of launch_ros.parameter_descriptions."""
 
 from typing import Any

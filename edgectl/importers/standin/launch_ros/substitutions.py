@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stand-in of launch_ros.substitutions."""
 
 from _edgectl_recorder import Context, Recorded, Substitution, get_package_directory, make_dropped, perform

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stand-in of nav2_common.launch."""
 
 from _edgectl_recorder import Context, Recorded, Substitution, make_dropped, perform

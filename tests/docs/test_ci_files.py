@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files for other people's CI: their commands run on a scaffold, and the image is built where a builder is."""
+
+import json
+import subprocess
+from pathlib import Path
+
+import pytest
+import yaml
+
+from edgectl.scaffold.write import write_scaffold
+from tests.docs.blocks import environment
+from tests.views.fixtures import ROOT, SNAPSHOT
+
+CI = ROOT / ".ci"
+
+
+@pytest.fixture
+def fleet(tmp_path: Path) -> Path:
+    write_scaffold(tmp_path / "repo" / "fleet")
+    (tmp_path / "repo" / "fleet" / "lab.json").write_bytes(SNAPSHOT.read_bytes())
+    return tmp_path / "repo" / "fleet"
+
+
+def run(script: str, here: Path, state: Path, **more: str) -> subprocess.CompletedProcess[str]:
+    env = {**environment(state), "CI": "true", **more}
+    return subprocess.run(
+        ["bash", "-eo", "pipefail", "-c", script],
+        cwd=here,
+        env=env,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_the_action_validates_and_plans(fleet: Path, tmp_path: Path) -> None:
+    action = yaml.safe_load((CI / "action.yml").read_text())
+    steps = {step["name"]: step for step in action["runs"]["steps"]}
+    assert list(steps) == ["Install", "Validate", "Plan"]
+    assert all(step["shell"] == "bash" for step in steps.values())
+    assert "${{" not in "".join(step["run"] for step in steps.values()), (
+        "inputs reach a shell as variables only"
+    )
+    assert run(steps["Validate"]["run"], fleet, tmp_path / "state").returncode == 0
+    more = {
+        "SNAPSHOT": "lab.json",
+        "RUNNER_TEMP": str(tmp_path),
+        "GITHUB_STEP_SUMMARY": str(tmp_path / "summary"),
+        "GITHUB_OUTPUT": str(tmp_path / "output"),
+    }
+    done = run(steps["Plan"]["run"], fleet, tmp_path / "state", **more)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "output").read_text() == f"file={tmp_path}/plan.md\n"
+    assert (tmp_path / "summary").read_text() == (tmp_path / "plan.md").read_text() != ""
+    (fleet / "tasks" / "demo.yaml").write_text("version: 1\ntasks: {slam: {comand: x}}\n")
+    broken = run(steps["Validate"]["run"], fleet, tmp_path / "state")
+    assert (broken.returncode, "::error file=tasks/demo.yaml" in broken.stdout) == (64, True)
+
+
+def test_the_template_of_gitlab_reports_mistakes(fleet: Path, tmp_path: Path) -> None:
+    template = yaml.safe_load((CI / "gitlab.yml").read_text())
+    assert {template[job]["extends"] for job in ("edgectl-validate", "edgectl-plan")} == {".edgectl"}
+    more = {"CI_PROJECT_DIR": str(tmp_path), "EDGECTL_DIRECTORY": str(fleet), "EDGECTL_SNAPSHOT": "lab.json"}
+    for job in ("edgectl-validate", "edgectl-plan"):
+        done = run("\n".join(template[job]["script"]), tmp_path, tmp_path / "state", **more)
+        assert done.returncode == 0, done.stderr
+    report = tmp_path / template["edgectl-validate"]["artifacts"]["reports"]["codequality"]
+    assert json.loads(report.read_text()) == []
+    assert (
+        (tmp_path / template["edgectl-plan"]["artifacts"]["paths"][0])
+        .read_text()
+        .startswith("<!-- edgectl-plan -->")
+    )
+    (fleet / "tasks" / "demo.yaml").write_text("version: 1\ntasks: {slam: {comand: x}}\n")
+    assert (
+        run(
+            "\n".join(template["edgectl-validate"]["script"]), tmp_path, tmp_path / "state", **more
+        ).returncode
+        == 64
+    )
+    (first, *_) = json.loads(report.read_text())
+    assert (first["location"]["path"], first["location"]["lines"]["begin"]) == ("tasks/demo.yaml", 2)
+
+
+def test_the_image_is_described_as_a_builder_reads_it() -> None:
+    """Building it needs a registry: make image does, where there is a builder."""
+    text = (CI / "Containerfile").read_text()
+    words = [
+        line.split()[0]
+        for line in text.replace("\\\n", " ").splitlines()
+        if line and not line.startswith("#")
+    ]
+    assert words.count("FROM") == 2
+    assert words[-1] == "ENTRYPOINT"
+    assert text.index("USER edgectl") < text.index("ENTRYPOINT"), "it does not run as root"
+    said = subprocess.run(
+        ["make", "-n", "image", "BUILDER=echo"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
+    assert "echo build --file .ci/Containerfile --tag edgectl" in said

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""docs/conventions.md: each row names a test that exists, or the word that the convention is not met."""
+
+import re
+
+import pytest
+
+from tests.views.fixtures import ROOT
+
+ROWS = re.findall(
+    r"^\| (.+?) \| (met|partly|not yet) \| (.*?) \| (.*?) ?\|$",
+    (ROOT / "docs" / "conventions.md").read_text(),
+    re.MULTILINE,
+)
+
+
+def test_there_is_a_row_for_each() -> None:
+    """51 conventions, of which the one of the importers has five rows."""
+    lines = [
+        line for line in (ROOT / "docs" / "conventions.md").read_text().splitlines() if line.startswith("| ")
+    ]
+    assert len(ROWS) == len(lines) - 1 == 51 + 4
+    assert len({row[0] for row in ROWS}) == len(ROWS)
+
+
+@pytest.mark.parametrize(("name", "state", "held", "missing"), ROWS, ids=[row[0][:40] for row in ROWS])
+def test_a_row_says_what_holds_it(name: str, state: str, held: str, missing: str) -> None:
+    del name
+    if state == "not yet":
+        assert (held, missing != "") == ("", True)
+        return
+    assert (missing != "") or state == "met"
+    file, _, function = held.strip("`").partition("::")
+    assert (ROOT / file).exists(), file
+    if function:
+        assert re.search(rf"^def {function}\(", (ROOT / file).read_text(), re.MULTILINE), function
