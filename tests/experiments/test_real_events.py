@@ -3,7 +3,8 @@
 import os
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from edgectl.experiments.commands.person import ask_person
 from edgectl.experiments.event_actions import EventMeans, ask_nobody, run_event_command
 from edgectl.experiments.event_draws import build_uniform_draw
 from edgectl.experiments.event_performer import EventPerformer
+from edgectl.experiments.event_results import measure_trial_recoveries
 from edgectl.experiments.files.run_directory import load_run
 from edgectl.experiments.model.experiment import Experiment, Trial
 from edgectl.experiments.model.mission_event import (
@@ -59,8 +61,8 @@ def logged(path: Path) -> list[str]:
     return path.read_text().splitlines() if path.exists() else []
 
 
-def run_trial(bench: Bench, events: Sequence[MissionEvent], folder: Path, *tasks: Task) -> Trial:
-    experiment = Experiment(
+def build_spec(events: Sequence[MissionEvent]) -> Experiment:
+    return Experiment(
         name="mission",
         schemes=(SCHEME,),
         until=("tour",),
@@ -70,6 +72,10 @@ def run_trial(bench: Bench, events: Sequence[MissionEvent], folder: Path, *tasks
         idle=1.0,
         events=tuple(events),
     )
+
+
+def run_trial(bench: Bench, events: Sequence[MissionEvent], folder: Path, *tasks: Task) -> Trial:
+    experiment = build_spec(events)
     options = ExperimentOptions(directory=folder / "run", spec_directory=folder)
     run = run_experiment(bench.using(*tasks).fleet, experiment, options)
     assert load_run(folder / "run") == run
@@ -124,6 +130,9 @@ def test_events_act_on_hosts_and_on_the_manager_and_are_undone(bench: Bench, tmp
     assert [record.error for name, record in records.items() if name not in ("door", "broken")] == [""] * 4
     starts = {span.task: span.start for span in trial.spans}
     assert starts["slam-rover1"] < records["in"].at < starts["slam-rover2"] <= records["open"].at
+    recoveries = {record.event: found for record, found in measure_trial_recoveries(build_spec(()), trial)}
+    assert records["in"].tasks == ("slam-rover2",)
+    assert recoveries["in"] == pytest.approx(starts["slam-rover2"] - records["in"].at, abs=0.51)
     assert any("event broken: false exited with 1" in said for said in bench.said)
     assert list_sleepers(mark) == []
 
@@ -135,7 +144,7 @@ def test_a_program_ends_at_its_deadline_with_all_that_it_started(bench: Bench, o
     command = EventCommand(argv=(sys.executable, "-c", script), on=on, deadline=2.0)
     said = run_event_command(bench.fleet, command, command.argv)
     assert said == f"{sys.executable} did not end within 2 s"
-    assert list_sleepers(mark) == []
+    wait_for(lambda: list_sleepers(mark) == [])
 
 
 @pytest.mark.parametrize("on", ["", "mint"])
@@ -178,13 +187,11 @@ def test_repetitions_are_drawn_by_the_repetition_of_the_trial(bench: Bench, tmp_
     assert logged(log) == ["on", "off"] * 3, "nothing is undone twice"
 
 
-def wait_for(condition: object) -> None:
-    deadline = threading.Event()
-    for _ in range(int(patience(60.0) / 0.05)):
-        if condition():  # type: ignore[operator]
-            return
-        deadline.wait(0.05)
-    raise AssertionError("it did not come true")
+def wait_for(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + patience(60.0)
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
 
 
 def test_what_a_killed_run_has_changed_is_undone_by_the_next(bench: Bench, tmp_path: Path) -> None:
