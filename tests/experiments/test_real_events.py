@@ -215,13 +215,35 @@ def test_what_a_killed_run_has_changed_is_undone_by_the_next(bench: Bench, tmp_p
 
     fleet = create_trial_fleet(bench.fleet, "stuck", bench.probe())
     stuck = MissionEvent(name="c", at=0.0, run=EventCommand(argv=("true",), on="mint", undo=("false",)))
-    EventPerformer([stuck], replace(means, fleet=fleet), build_uniform_draw("1")).__enter__()
+    other = MissionEvent(name="d", at=0.0, run=EventCommand(argv=log_to(log, "d"), undo=log_to(log, "und")))
+    means = EventMeans(fleet=fleet, ask=ask_nobody, ended=threading.Event())
+    with EventPerformer([stuck, other], means, build_uniform_draw("1")) as performer:
+        records = performer.finish()
+    assert [record.error for record in records] == ["not undone: false exited with 1", ""]
+    assert logged(log)[-2:] == ["d", "und"], "what comes after it is undone all the same"
     with pytest.raises(FleetBusyError, match="not undone: false exited with 1") as caught:
         clean_up_trials(bench.fleet)
     assert caught.value.hint == f"undo it on mint by hand, then delete {fleet.state / 'changes.json'}"
     (fleet.state / "changes.json").unlink()
     clean_up_trials(bench.fleet)
     assert not fleet.state.exists()
+
+
+def test_nothing_is_changed_that_could_not_be_undone_after_a_kill(bench: Bench, tmp_path: Path) -> None:
+    """The disk does not take the record of the change, so that the program does not run."""
+    log = tmp_path / "log"
+    fleet = create_trial_fleet(bench.fleet, "full", bench.probe())
+    (fleet.state / "changes.json.tmp").mkdir()
+    means = EventMeans(fleet=fleet, ask=ask_nobody, ended=threading.Event())
+    run = EventCommand(argv=log_to(log, "on"), undo=log_to(log, "off"))
+    with EventPerformer(
+        [MissionEvent(name="a", at=0.0, run=run)], means, build_uniform_draw("1")
+    ) as performer:
+        (record,) = performer.finish()
+    assert "cannot open" in record.error
+    assert logged(log) == []
+    assert any("event a: cannot open" in said for said in bench.said)
+    clean_up_trials(bench.fleet)
 
 
 def test_a_person_is_asked_at_the_terminal_only(capsys: pytest.CaptureFixture[str]) -> None:
