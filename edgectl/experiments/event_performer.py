@@ -122,7 +122,7 @@ class EventPerformer:
         with self._changed:
             self._held[event.name] = event
             self._save()
-            self._records.append(begin_record(event, at))
+            self._records.append(begin_record(event, at, self._means.fleet.tasks))
             index = len(self._records) - 1
         error = self._act(begin_change, event)
         with self._changed:

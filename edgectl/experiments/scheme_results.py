@@ -1,6 +1,6 @@
 """Results of schemes from their runs: means, standard deviations and confidence intervals."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from itertools import pairwise
 from statistics import fmean, stdev
 
@@ -136,7 +136,8 @@ def _summarize_scheme(run: ExperimentRun, scheme: Scheme) -> SchemeResult:
     )
     local = scheme.policy.name is PolicyName.LOCAL
     hosts = {name: machine for name, machine in run.machines.items() if (machine.role is Role.ROBOT) is local}
-    values = [_collect_trial_values(trial, hosts, together=local) for trial in trials]
+    robots = [name for name, machine in run.machines.items() if machine.role is Role.ROBOT]
+    values = [_collect_trial_values(trial, hosts, robots, together=local) for trial in trials]
     estimates = estimate_metrics(values)
     readings = [_collect_application_values(run.experiment, trial) for trial in trials]
     return SchemeResult(
@@ -147,7 +148,7 @@ def _summarize_scheme(run: ExperimentRun, scheme: Scheme) -> SchemeResult:
         estimates=estimates
         or {
             metric: (None,) * len(values)
-            for metric, values in _collect_trial_values(_EMPTY_TRIAL, hosts, together=local).items()
+            for metric, values in _collect_trial_values(_EMPTY_TRIAL, hosts, robots, together=local).items()
         },
         hosts=() if local else tuple(hosts),
         metrics={
@@ -177,11 +178,10 @@ def _collect_application_values(experiment: Experiment, trial: Trial) -> MetricV
     }
 
 
-def _collect_trial_values(trial: Trial, hosts: Mapping[str, HostCapacity], *, together: bool) -> MetricValues:
-    used = [
-        _summarize_host_loads(sorted(trial.loads.get(name, ()), key=lambda load: load.at), machine)
-        for name, machine in hosts.items()
-    ]
+def _collect_trial_values(
+    trial: Trial, hosts: Mapping[str, HostCapacity], robots: Collection[str], *, together: bool
+) -> MetricValues:
+    used = [_summarize_host_usage(trial, name, machine) for name, machine in hosts.items()]
     return {
         "latency": (trial.latency / 60,),
         **average_over_hosts(
@@ -189,8 +189,32 @@ def _collect_trial_values(trial: Trial, hosts: Mapping[str, HostCapacity], *, to
         ),
         "handoffs": (float(len(trial.handoffs)),),
         "downtime": (compute_usable_mean(handoff.downtime for handoff in trial.handoffs),),
+        "gap": (compute_usable_mean(handoff.gap for handoff in trial.handoffs),),
+        "cpu_s": (sum(each.cpu_s for each in trial.usage.values()) if trial.usage else None,),
+        "air": (compute_usable_mean(_list_air_megabytes(trial, robots)),),
         "unplaced": (float(trial.unplaced),),
     }
+
+
+def _list_air_megabytes(trial: Trial, robots: Collection[str]) -> list[float]:
+    """Megabytes over the interfaces of each robot."""
+    counted = (trial.usage[name].network_bytes for name in robots if name in trial.usage)
+    return [number / 1e6 for number in counted if number is not None]
+
+
+def _summarize_host_usage(trial: Trial, host: str, machine: HostCapacity) -> dict[str, float | None]:
+    """Mean and peak usage of one host: means by its counters where the trial has them (ADR 0132)."""
+    found = _summarize_host_loads(sorted(trial.loads.get(host, ()), key=lambda load: load.at), machine)
+    usage = trial.usage.get(host)
+    if usage is None or trial.latency <= 0:
+        return found
+    counted = {
+        "cpu": 100 * usage.cpu_s / trial.latency / machine.cores,
+        "memory": 100 * usage.memory / machine.memory,
+    }
+    if usage.network_bytes is not None:
+        counted["throughput"] = usage.network_bytes / trial.latency / 1e6
+    return {**found, **counted}
 
 
 def _summarize_host_loads(loads: Sequence[LoadSample], machine: HostCapacity) -> dict[str, float | None]:

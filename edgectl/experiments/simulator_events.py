@@ -56,7 +56,7 @@ def _begin_change(state: SimState, event: MissionEvent) -> int:
     state.happening = {**state.happening, event.name: event}
     state.happened.add(event.name)
     state.overlay = _build_overlay(state)
-    state.records.append(begin_record(event, state.env.now))
+    state.records.append(begin_record(event, state.env.now, state.all_tasks))
     BEGIN_SIMULATED.get(event.change, _change_nothing_else)(state, event)
     update_speeds(state)
     return len(state.records) - 1

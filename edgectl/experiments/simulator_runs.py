@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import partial
 
 from edgectl.experiments.event_draws import build_uniform_draw, create_stream
+from edgectl.experiments.event_results import measure_sim_recoveries, summarize_events, summarize_kinds
 from edgectl.experiments.model.comparison import SchemeResult
 from edgectl.experiments.model.scenario import Scenario
 from edgectl.experiments.model.schemes import Scheme
@@ -39,4 +40,6 @@ def simulate_schemes(
             )
             for run in range(runs)
         ]
-        yield summarize_sim_runs(inventory, scheme, sim_runs)
+        recovered = [measure_sim_recoveries(run, scenario.timing.every) for run in sim_runs]
+        result = summarize_sim_runs(inventory, scheme, sim_runs)
+        yield replace(result, events=summarize_events(recovered), recoveries=summarize_kinds(recovered))

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import simpy
 
@@ -13,6 +14,7 @@ from edgectl.model.link_reading import LinkHistory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy, PolicyName
 from edgectl.model.resource import CPU, MEMORY, NETWORK
+from edgectl.model.snapshot import LinkSample, TaskSample
 from edgectl.model.task import Task, Tasks
 
 
@@ -90,6 +92,15 @@ class SimWork:
     speed: float = 0.0
 
 
+class SimSample(NamedTuple):
+    """What a probe of one host shows: cores and bytes in use, and samples of links and tasks."""
+
+    cpu: float
+    memory: float
+    links: Mapping[str, LinkSample]
+    tasks: Mapping[str, TaskSample]
+
+
 @dataclass(slots=True, kw_only=True)
 class SimState:
     """The mutable state of one run.
@@ -101,7 +112,9 @@ class SimState:
     relative demands. ``tasks``: those that have entered, of ``all_tasks``. ``starting``: tasks that a step of
     the plan is about to start. ``happening``: events of which the change holds, by name, as ``overlay`` has
     them; ``happened``: all that ever did. ``working``: jobs in progress; ``robot_work`` and ``robot_done``:
-    work by robot, in s, of all its jobs and of those parts of them that are done.
+    work by robot, in s, of all its jobs and of those parts of them that are done. ``courses``: with events,
+    by task with work, its speed over time, up to ``course_ends``. ``samples``: what a probe of each host
+    shows until the next change, but for noise.
     """
 
     env: simpy.Environment
@@ -134,6 +147,9 @@ class SimState:
     working: dict[str, SimWork] = field(default_factory=dict)
     robot_work: dict[str, float] = field(default_factory=dict)
     robot_done: dict[str, float] = field(default_factory=dict)
+    courses: dict[str, list[tuple[float, float | None]]] = field(default_factory=dict)
+    course_ends: dict[str, float] = field(default_factory=dict)
+    samples: dict[str, SimSample] = field(default_factory=dict)
 
 
 def list_external_placements(state: SimState) -> Iterable[tuple[str, str]]:
@@ -147,8 +163,8 @@ def list_external_placements(state: SimState) -> Iterable[tuple[str, str]]:
 def update_speeds(state: SimState) -> None:
     """Recompute all speeds. Before a service changes, `integrate_loads` has to meter the time until then."""
     state.cores, state.rates, state.speeds = {}, {}, {}
-    for host in state.scenario.hosts:
-        services = {name: service for name, service in state.services.items() if service.host == host}
+    state.samples.clear()
+    for host, services in _group_services(state).items():
         _share_host_resources(state, host, services)
     for name, service in state.services.items():
         demand = _compute_demand_cores(state, service)
@@ -161,10 +177,37 @@ def update_speeds(state: SimState) -> None:
     notify_change(state)
 
 
+def _group_services(state: SimState) -> dict[str, dict[str, SimTask]]:
+    """The services of each host that has some, in the order of the hosts."""
+    found: dict[str, dict[str, SimTask]] = {host: {} for host in state.scenario.hosts}
+    for name, service in state.services.items():
+        found[service.host][name] = service
+    return {host: services for host, services in found.items() if services}
+
+
 def notify_change(state: SimState) -> None:
-    """Wake what waits for a change."""
+    """Wake what waits for a change; with events, note how well each task does that has work."""
+    if state.scenario.events:
+        _record_courses(state)
     state.changed.succeed()
     state.changed = state.env.event()
+
+
+def _record_courses(state: SimState) -> None:
+    """The speed of each task from its first job to the end of its last one; None while it does not run."""
+    now = state.env.now
+    for part in state.working.values():
+        state.courses.setdefault(part.task, [])
+    for name, points in state.courses.items():
+        if state.left[name] == 0:
+            state.course_ends.setdefault(name, now)
+            continue
+        service = state.services.get(name)
+        value = state.speeds[name] if service is not None and service.ready else None
+        if points and points[-1][0] == now:
+            points.pop()
+        if not points or points[-1][1] != value:
+            points.append((now, value))
 
 
 def _share_host_resources(state: SimState, host: str, services: Mapping[str, SimTask]) -> None:
@@ -178,24 +221,19 @@ def _share_host_resources(state: SimState, host: str, services: Mapping[str, Sim
     shares_by_name = compute_fair_shares(
         machine.cores, {**demands, **others, _BASE_LOAD_NAME: machine.base_cores}
     )
-    state.cores |= {name: shares_by_name[name] for name in demands}
-    state.rates |= {name: {} for name in services}
-    for robot in dict.fromkeys(
-        robot for service in services.values() for robot in _list_remote_robots(state, service)
-    ):
+    state.cores.update((name, shares_by_name[name]) for name in demands)
+    state.rates.update((name, {}) for name in services)
+    if state.inventory.hosts[host].role is Role.ROBOT:
+        return  # a task on a robot needs no link
+    for robot in dict.fromkeys(robot for service in services.values() for robot in service.task.robots):
         rates = {
             name: _compute_demand_bytes_per_s(state, service, robot)
             for name, service in services.items()
-            if service.ready and robot in _list_remote_robots(state, service)
+            if service.ready and robot in service.task.robots
         }
         for name, rate in compute_fair_shares(get_link_bytes_per_s(state, host, robot), rates).items():
             if rates[name] > 0:
                 state.rates[name][robot] = rate
-
-
-def _list_remote_robots(state: SimState, service: SimTask) -> tuple[str, ...]:
-    """Robots that the task reaches over a link; none for a task on a robot."""
-    return () if state.inventory.hosts[service.host].role is Role.ROBOT else service.task.robots
 
 
 def get_nominal_bytes_per_s(state: SimState, host: str, robot: str) -> float:

@@ -1,7 +1,7 @@
 """A trial of an experiment: deploy a mission as a new manager, watch it, score its maps, clear the fleet."""
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -76,10 +76,9 @@ def run_trial(
     trial_fleet = create_trial_fleet(fleet, f"{scheme.name.replace(' ', '-')}-{repetition}", before)
     recorder = TrialRecorder(experiment.until)
     means = EventMeans(fleet=trial_fleet, ask=options.ask, ended=threading.Event())
-    # Draws of a policy are those of the repetition, as the times of events.
-    seeded = replace(scheme, policy=replace(scheme.policy, seed=repetition))
     with EventPerformer(experiment.events, means, build_uniform_draw(str(repetition))) as performer:
-        watch_options = _build_watch_options(trial_fleet, experiment, seeded, recorder, performer, options)
+        policy = replace(scheme.policy, seed=repetition)
+        watch_options = _build_watch_options(trial_fleet, experiment, policy, recorder, performer, options)
         first = replace(trial_fleet, tasks=select_present_tasks(fleet.tasks, experiment.events, ()))
         if not _watch_mission(first, experiment, recorder, performer, watch_options, options.listener):
             return None
@@ -94,7 +93,7 @@ def run_trial(
 def _build_watch_options(
     trial_fleet: Fleet,
     experiment: Experiment,
-    scheme: Scheme,
+    policy: Policy,
     recorder: TrialRecorder,
     performer: EventPerformer,
     options: TrialOptions,
@@ -102,14 +101,14 @@ def _build_watch_options(
     def begin_and_get_policy(_fleet: Fleet) -> Policy:
         """The policy; a mission begins with its first plan."""
         performer.begin_mission()
-        return scheme.policy
+        return policy
 
     window = min(_TRIAL_PROBE_WINDOW_S, experiment.every / 2)
     return WatchOptions(
         every=experiment.every,
         apply=True,
         debug=options.debug,
-        probe=ProbeOptions(window=window, timeout=_TRIAL_PROBE_TIMEOUT_S),
+        probe=ProbeOptions(window=window, timeout=_TRIAL_PROBE_TIMEOUT_S, totals=True),
         policy=begin_and_get_policy,
         refresh=_build_refresh(trial_fleet, experiment, performer),
         execution=ApplyOptions(progress=lambda event: recorder.record_progress(event, trial_fleet.clock())),
@@ -150,9 +149,21 @@ def _watch_mission(
             listener(recorder, cycle)
             over = fleet.clock() - (recorder.began or began) >= experiment.limit
             if recorder.finished or recorder.has_given_up or over:
+                _record_closing(cycles, recorder, watch_options.control)
                 return True
             performer.see_cycle(cycle)
     return False
+
+
+def _record_closing(cycles: Iterator[Cycle], recorder: TrialRecorder, control: Control) -> None:
+    """Sample once more without a plan: by the usage after the mission its own is told apart (ADR 0132)."""
+    paused, control.paused = control.paused, True
+    try:
+        closing = next(cycles, None)
+    finally:
+        control.paused = paused
+    if closing is not None and closing.snapshot is not None:
+        recorder.record_closing(closing.snapshot)
 
 
 def clean_up_trials(fleet: Fleet) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterable
 from dataclasses import replace
 from typing import TypeVar
 
+from edgectl.experiments.mission_usage import UsageCounters
 from edgectl.experiments.model.experiment import (
     HandoffRecord,
     LoadSample,
@@ -48,6 +49,7 @@ class TrialRecorder:
         self._latencies: dict[str, dict[str, LatencySample]] = {}
         self._ended_instances: set[str] = set()
         self._given_up: set[str] = set()
+        self._counters = UsageCounters()
 
     @property
     def finished(self) -> bool:
@@ -70,10 +72,15 @@ class TrialRecorder:
         if cycle.plan is not None:
             self._unplaced += cycle.plan.summary.get(Action.UNPLACED, 0)
         if cycle.snapshot is not None:
+            self._counters.record_snapshot(cycle.snapshot)
             self._record_snapshot(cycle.snapshot)
         for at, event in self._pending_events:
             self._record_phase(event, at)
         self._pending_events.clear()
+
+    def record_closing(self, snapshot: Snapshot) -> None:
+        """Record the counters of hosts after the mission: what they use without it."""
+        self._counters.record_snapshot(snapshot)
 
     def build_trial(
         self,
@@ -92,11 +99,13 @@ class TrialRecorder:
             *((place, since, ended) for place, since in self._open_intervals.items()),
         ]
         completed = {task: max(0.0, at - began) for task, at in self.completed.items()}
+        latency = max((completed[task] for task in self._until), default=0.0) if self.finished else limit
+        over = began + latency if self.finished else ended
         return Trial(
             scheme=scheme,
             repetition=repetition,
             began_at=began,
-            latency=max((completed[task] for task in self._until), default=0.0) if self.finished else limit,
+            latency=latency,
             finished=self.finished,
             unplaced=self._unplaced,
             completed=completed,
@@ -110,6 +119,7 @@ class TrialRecorder:
                 for name, tasks in sorted(self._readings.items())
             },
             ssim=ssim,
+            usage=self._counters.compute_usage(began, over),
             events=tuple(_rebase_events(events, began)),
         )
 
@@ -185,6 +195,7 @@ class TrialRecorder:
                     target=result.host,
                     at=at,
                     downtime=result.downtime_s,
+                    gap=result.gap_s,
                 )
             )
 

@@ -57,6 +57,7 @@ class ProbeOptions:
     ``former_hosts``: names of hosts that left the inventory, whose generations each host reports too.
     ``manager_id``: the name by which hosts know this manager.
     ``placed``: the instance of each task as far as this manager knows it.
+    ``totals``: also read the counters of each host, from which means over a mission are taken (ADR 0132).
     ``probe_idle_links``: also probe the idle links whose turn it is, for at most 0.1 s each (ADR 0077).
     ``on_host`` is called as each host ends, in the caller's thread, with name, sample and seconds;
     ``on_links`` once, with the links by (edge, robot).
@@ -71,6 +72,7 @@ class ProbeOptions:
     former_hosts: frozenset[str] = frozenset()
     manager_id: str = ""
     placed: Mapping[str, str] = field(default_factory=dict)
+    totals: bool = False
     probe_idle_links: bool = False
     on_host: HostCallback = _ignore_host
     on_links: LinksCallback = _ignore_links
@@ -191,6 +193,7 @@ def _build_request(host: Host, context: _ProbeContext) -> dict[str, object]:
         edges=context.edges,
         manager_id=context.options.manager_id,
         placed=context.options.placed,
+        totals=context.options.totals,
     )
     return request if context.lease is None else {**request, "lease": context.lease.build_claim(host.name)}
 

@@ -18,6 +18,7 @@ from edgectl.gateway.replies import (
     LinkReply,
     ProbeReply,
     ReplyDocument,
+    TotalsReply,
     decode_reply,
 )
 from edgectl.gateway.task_reply import build_generations, build_task_samples, separate_standbys
@@ -34,6 +35,7 @@ from edgectl.model.snapshot import (
     TaskSample,
     TaskState,
     TrafficSource,
+    UsageTotals,
 )
 from edgectl.model.text import escape_unprintable
 
@@ -107,8 +109,17 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
         machine="" if reply.machine.startswith("/") else reply.machine,
         other_tasks=tuple(each for each in reply.other_tasks if each.fleet == context.host.fleet),
         foreign_tasks=tuple(each for each in reply.other_tasks if each.fleet != context.host.fleet),
+        totals=_build_totals(reply.totals, context.host),
     )
     return apply_done_tasks(sample, _list_done_tasks(reply) & context.checked)
+
+
+def _build_totals(reply: TotalsReply | None, host: Host) -> UsageTotals | None:
+    if reply is None:
+        return None
+    if host.is_slice:
+        return UsageTotals(tasks=reply.tasks)
+    return UsageTotals(cpu_s=reply.cpu_s, network_bytes=reply.network_bytes, tasks=reply.tasks)
 
 
 def _check_origin(document: ReplyDocument, host: Host) -> None:

@@ -26,12 +26,14 @@ def build_probe_request(
     edges: Mapping[str, str] | None = None,
     manager_id: str = "",
     placed: Mapping[str, str] | None = None,
+    totals: bool = False,
 ) -> dict[str, object]:
     """The probe request of one host; ``addresses`` are the robots' and ``edges`` the edges' as the network
     knows them.
 
     ``former``: names of hosts that left the inventory, of which this host may be one.
     ``manager_id``: the name by which hosts know this manager. ``placed``: the instance of each task.
+    ``totals``: also ask for the counters of the host.
     Checks are cut short, so that a slow one fails in time instead of the whole probe.
     """
     longest = max(1.0, timeout_s - window_s - _OVERHEAD_S)
@@ -49,6 +51,7 @@ def build_probe_request(
         "latency": encode_latency_rules(host, inventory, tasks, placed or {}),
         "former": sorted(former),
         "manager": manager_id,
+        **({"totals": True} if totals else {}),
     }
 
 

@@ -167,6 +167,15 @@ class GrantsReply:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class TotalsReply:
+    """Counters of a host since boot, and of the instances of its tasks since their start."""
+
+    cpu_s: Amount
+    network_bytes: Amount
+    tasks: Annotated[Mapping[Text, Amount], ALONE] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ProbeReply:
     """Reply to a probe.
 
@@ -193,6 +202,7 @@ class ProbeReply:
     counters: Text = ""
     unowned: Annotated[tuple[Text, ...], ALONE] = ()
     former: Annotated[tuple[Text, ...], ALONE] = ()
+    totals: TotalsReply | None = None
 
 
 # Usage of a task and of a profiler, capacity and usage of each resource of a device, under the keys of the

@@ -206,6 +206,19 @@ class DeviceSample:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class UsageTotals:
+    """Counters of a host since its boot (ADR 0132): CPU seconds, bytes in and out over its interfaces.
+
+    None for a host with a declared capacity, which shares them with others. ``tasks``: CPU seconds of each
+    instance since its start, of those that have ended too.
+    """
+
+    cpu_s: float | None = None
+    network_bytes: float | None = None
+    tasks: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HostSample:
     """One host's part of the snapshot. An unreachable host has only its role, status and error.
 
@@ -221,7 +234,7 @@ class HostSample:
     granted the fleet to a manager. ``foreign_grant``: number of the last grant to another manager than the
     one that took the snapshot. ``foreign_hosts``: hosts that the inventory lacks and on which other managers
     of the fleet may place tasks. ``counters``: "" where none are
-    installed for this fleet, "installed", or why they cannot be read.
+    installed for this fleet, "installed", or why they cannot be read. ``totals``: where they were asked for.
     """
 
     role: Role
@@ -250,6 +263,7 @@ class HostSample:
     foreign_grant: int = 0
     foreign_hosts: tuple[str, ...] = ()
     counters: str = ""
+    totals: UsageTotals | None = None
 
     @property
     def ok(self) -> bool:

@@ -21,11 +21,11 @@ _HOST = (
     "hint", "sample_age_s", "resident", "counters", *(resource.name for resource in HOST_RESOURCES), "links",
     "task_names", "other_tasks", "foreign_tasks", "device", "mark",
 )  # fmt: skip
-_ABSENT_TASK = ("task", "host", "taken_at", "state", "contacted_at", "managed")
+_ABSENT_TASK = ("task", "host", "taken_at", "state", "contacted_at", "managed", "pin")
 _RUN = (
     "task", "host", "taken_at", "state", "detail", "age_s", "started_at", "ended_at", *_RESOURCES, "restarts",
     "pid", "instance", "generation", "managed", "given_up", "exit_code", "last_exit", "enforcement",
-    "partial", "log_tail", "metrics", "latency",
+    "partial", "log_tail", "metrics", "latency", "pin",
 )  # fmt: skip
 _TASK = (*_RUN, "standby", "contacted_at", "in_files", "task_kind", "robot_names", "needs", "labels")
 _LINK = ("edge", "robot", "taken_at", *_LINK_SAMPLE)
@@ -37,6 +37,7 @@ _ACTION = (
 _RESULT = ("revision", "duration_s", "done", "interrupted", "actions", "standbys")
 _REVISION = ("revision", "started_at", "user", "verb", "outcome", "duration_s", "counts")
 _INTERVAL = ("mean", "low", "high")
+_RECOVERY = ("occurrences", "not_recovered", "recovery_s", "recovery_half_ci95_s")
 _ESTIMATE = ("mean", "std", "half_ci95", "run_count")
 
 _OTHER_TASK = (
@@ -46,8 +47,10 @@ _OTHER_TASK = (
 # Kind -> keys of each item of a list.
 LIST_KEYS: KeysByName = {
     "change": ("type", "at", "object"),
+    "context": ("context", "chosen", "inventories", "task_files", "origin"),
     "edge": _HOST,
     "event": _EVENT,
+    "hook": ("program", "outcome", "duration_s", "message"),
     "finding": ("host", "check", "level", "message", "hint"),
     "host-usage": (*_HOST, "history"),
     "host-key": ("host", "key_type", "fingerprint", "state", "error", "hint"),
@@ -57,6 +60,7 @@ LIST_KEYS: KeysByName = {
         "host", "state", "pid", "age_s", "every_s", "period_s", "samples", "sample_age_s", "cpu", "memory",
         "ttl_s", "ttl_left_s", "current", "detail", "error", "hint",
     ),
+    "setting": ("setting", "values", "origin"),
     "replay": (
         "scheme", "policy", "move_margin", "cycles", "handoffs", "unplaced", "unsettled", "assumed",
         "utilisation",
@@ -92,7 +96,8 @@ ITEM_KEYS: KeysByName = {
     "robot": _HOST_DETAILS,
     "simulation": ("scenario", "reference", "assumptions", "notes", "answer", "comparisons", "schemes"),
     "task": (
-        "task", "taken_at", "spec", "runs", "standbys", "placement", "downtimes_s", "decision", "events",
+        "task", "taken_at", "spec", "runs", "standbys", "placement", "pin", "downtimes_s", "decision",
+        "events",
     ),
     "validation": ("edge_names", "robot_names", "task_names", "inventory_digest", "tasks_digest"),
     "version": ("edgectl", "python"),
@@ -139,6 +144,7 @@ INNER_KEYS: KeysByName = {
     "passes": _RESULT,
     "pending": ("task", "action", "host", "previous_host"),
     "phases": ("phase", "host", "duration_s", "ok", "detail"),
+    "pin": ("pinned_to", "pinned_at", "pinned_until"),
     "placement": ("host", "placed_at"),
     "latencies": (
         "p50_ms", "p95_ms", "p99_ms", "low_ms", "high_ms", "service_ms", "host_load", "waiting_ms",
@@ -155,7 +161,7 @@ INNER_KEYS: KeysByName = {
     ),
     "schemes": (
         "scheme", "run_count", "unfinished", "unplaced", "host_names", "figures", "metrics", "maps",
-        "reference_figures", "off_by",
+        "mission_events", "recoveries", "reference_figures", "off_by",
     ),
     "comparisons": (
         "metric", "scheme", "base", "pair_count", "missing_pair_count", "difference", "ratio", "p", "p_holm",
@@ -163,6 +169,8 @@ INNER_KEYS: KeysByName = {
     ),
     "difference": _INTERVAL,
     "ratio": _INTERVAL,
+    "mission_events": ("event_name", "kind", "subject", "begin_s", "failures", *_RECOVERY),
+    "recoveries": _RECOVERY,
     "spec": (
         "template", "task_kind", "managed", "command", "node_names", "robot_names", "needs", "priority",
         "deadline_s", "hard_deadline", "labels", "restart", "handoff", "on_unreachable", "env",

@@ -15,6 +15,7 @@ ROOT = Path(__file__).parents[2]
 FILES = {
     "inventory": ["inventories/*.yaml", "tasks/mission/fleet.yaml"],
     "tasks": ["tasks/*.yaml", "tasks/mission/tasks.yaml"],
+    "project": ["edgectl/scaffold/edgectl.yaml"],
     "experiment": ["tasks/mission/experiment.yaml"],
     "scenario": ["docs/scenarios/*.yaml"],
 }

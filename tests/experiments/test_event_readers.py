@@ -10,7 +10,7 @@ from edgectl.errors import InputError
 from edgectl.experiments.files.experiment_file import load_experiment
 from edgectl.experiments.files.run_codec import RUN_KIND, digest_experiment
 from edgectl.experiments.files.scenario_file import load_scenario, load_scenario_paths
-from edgectl.experiments.model.experiment import ExperimentRun
+from edgectl.experiments.model.experiment import ExperimentRun, RecoveryMetric
 from edgectl.experiments.model.mission_event import (
     CHANGE_KEYS,
     DemandChange,
@@ -241,6 +241,26 @@ def test_each_fault_of_an_experiment_has_its_place(
     first = caught.value.problems[0]
     told = (f"{first.line}:{first.column}", first.message, first.hint)
     assert (told[0], words in told[1], hint in told[2]) == (place, True, True), told
+
+
+def test_the_metric_of_recovery_is_read(tmp_path: Path) -> None:
+    """It is no condition of a trial: a run may be read by another rule."""
+    path = tmp_path / "spec.yaml"
+    path.write_text("version: 1\nname: test\nuntil: [tour]\n")
+    plain = load_experiment(path, FLEET, TASKS)
+    found = {}
+    for text in ("metric: fps, better: higher", "metric: lag, better: lower, within: 5%, window: 4s"):
+        path.write_text(f"version: 1\nname: test\nuntil: [tour]\nrecovery: {{{text}}}\n")
+        found[text[8:11]] = load_experiment(path, FLEET, TASKS)
+    assert plain.recovery is None
+    assert found["fps"].recovery == RecoveryMetric(metric="fps", higher=True, within=0.1, window=10.0)
+    assert found["lag"].recovery == RecoveryMetric(metric="lag", higher=False, within=0.05, window=4.0)
+    assert len({digest_experiment(each, FLEET, TASKS) for each in (plain, *found.values())}) == 1
+    path.write_text("version: 1\nname: test\nuntil: [tour]\nrecovery: {metric: fps, better: more}\n")
+    with pytest.raises(InputError) as caught:
+        load_experiment(path, FLEET, TASKS)
+    (problem,) = caught.value.problems
+    assert (problem.line, problem.column, problem.message) == (4, 33, "unknown word 'more'")
 
 
 def test_events_of_a_run_are_stored_with_it(tmp_path: Path) -> None:

@@ -1,12 +1,20 @@
 """The table of an experiment on real hosts."""
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import pytest
 import yaml
 
-from edgectl.experiments.model.comparison import Estimate, Interval, SchemeComparison, SchemeResult
+from edgectl.experiments.model.comparison import (
+    Estimate,
+    EventResult,
+    Interval,
+    RecoveryResult,
+    SchemeComparison,
+    SchemeResult,
+)
 from edgectl.experiments.model.experiment import Experiment, ExperimentRun, MapPair, MetricAggregation
 from edgectl.experiments.model.schemes import Scheme
 from edgectl.experiments.scheme_results import summarize_trials
@@ -23,6 +31,16 @@ EXPERIMENT = Experiment(
     maps={"ssim": MapPair(task="merge", file="map.yaml", truth="world.yaml")},
 )  # fmt: skip
 RUN = ExperimentRun(experiment=EXPERIMENT, digest="0123", machines={})
+EVENT = EventResult(
+    event="far",
+    kind="link",
+    subject="edge1",
+    failed=1,
+    at=Estimate(mean=30.0),
+    recoveries=RecoveryResult(
+        count=4, not_recovered=1, recovery=Estimate(mean=12.34, std=1.0, half_ci95=2.0, count=3)
+    ),
+)
 WHOLE = ("latency", "handoffs", "downtime", "unplaced")
 
 
@@ -201,3 +219,46 @@ def test_names_steer_no_terminal() -> None:
         OutputFormat.MARKDOWN,
     ):
         assert "\x1b" not in render_view(view, output, PLAIN)
+
+
+def test_recovery_has_a_table_of_its_own() -> None:
+    never = RecoveryResult(count=2, not_recovered=2, recovery=None)
+    once = RecoveryResult(count=1, not_recovered=0, recovery=Estimate(mean=3.0))
+    results = [
+        replace(DONE[0], events=(EVENT,), recoveries={"link": EVENT.recoveries, "load": once}),
+        replace(DONE[1], recoveries={"link": never}),
+        DONE[2],
+    ]
+    view = ExperimentView(run=RUN, results=results)
+    lines = view.table(RenderOptions(width=80)).splitlines()
+    table = lines[lines.index("") + 1 : lines.index("") + 5]
+    assert [line.rstrip() for line in table] == [
+        "RECOVERY s                        LINK  LOAD",
+        "local            12.3±2.0 (1 of 4 not)   3.0",
+        "static                   not recovered     -",
+        "utility network                      -     -",
+    ]
+    assert "local: event far failed 1 of 4 times" in lines
+    assert (
+        "| RECOVERY s | LINK | LOAD |\n| --- | ---: | ---: |\n| local | 12.3±2.0 (1 of 4 not) | 3.0 |"
+        in view.markdown()
+    )
+    item: Any = view.item()
+    assert item["schemes"][0]["mission_events"] == [
+        {
+            "event_name": "far",
+            "kind": "link",
+            "subject": "edge1",
+            "begin_s": 30.0,
+            "failures": 1,
+            "occurrences": 4,
+            "not_recovered": 1,
+            "recovery_s": 12.34,
+            "recovery_half_ci95_s": 2.0,
+        }
+    ]
+    assert item["schemes"][0]["recoveries"]["load"]["recovery_half_ci95_s"] is None
+    assert item["schemes"][1]["recoveries"] == {
+        "link": {"occurrences": 2, "not_recovered": 2, "recovery_s": None, "recovery_half_ci95_s": None}
+    }
+    assert (item["schemes"][2]["mission_events"], item["schemes"][2]["recoveries"]) == ([], {})

@@ -1,8 +1,10 @@
 """Experiments with real processes: on this machine through the API, and over sshd through a command that is killed."""
 
 import json
+import shlex
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -14,6 +16,7 @@ from edgectl.experiments.files.run_directory import load_run
 from edgectl.experiments.model.experiment import Experiment
 from edgectl.experiments.model.schemes import Scheme
 from edgectl.experiments.runner import ExperimentOptions, run_experiment
+from edgectl.experiments.scheme_results import summarize_trials
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy, PolicyName
 from edgectl.model.task import Need, NeedCondition, TaskKind
@@ -79,6 +82,40 @@ def test_two_schemes_twice_with_real_processes(bench: Bench, tmp_path: Path) -> 
     assert bench.actions() == {"slam": Action.START, "merge": Action.START}, (
         "its completion counts for the trial alone"
     )
+
+
+# Uses this much CPU of its own, then sleeps until its time is over; a process that it starts uses a part of it.
+BURN = """
+import os, subprocess, sys, time
+def burn(seconds):
+    while time.process_time() < seconds:
+        sum(range(1000))
+if len(sys.argv) > 3:
+    burn(float(sys.argv[1]))
+else:
+    began = time.monotonic()
+    subprocess.run([sys.executable, "-S", "-c", sys.argv[2], "0.8", "", "child"], check=True)
+    burn(float(sys.argv[1]))
+    time.sleep(max(0.0, 6.0 + began - time.monotonic()))
+"""
+
+
+def test_means_of_a_short_mission_are_those_of_its_processes(bench: Bench, tmp_path: Path) -> None:
+    """2.4 and 0.8 s of CPU in a mission of some seconds, of which samples every 2 s see neither begin nor end."""
+    words = shlex.join([sys.executable, "-S", "-c", BURN, "2.4", BURN])
+    work = a_task("work", command=f"exec {words}", kind=TaskKind.JOB, robots=("robot1",))
+    spec = replace(SPEC, until=("work",), schemes=SCHEMES[:1], repetitions=1, every=2.0)
+    options = ExperimentOptions(directory=tmp_path / "run", spec_directory=tmp_path)
+    run = run_experiment(bench.using(work).fleet, spec, options)
+    (trial,) = run.trials
+    assert trial.finished
+    assert trial.usage["robot1"].cpu_s == pytest.approx(3.2, rel=0.02)
+    assert trial.usage["edge1"].cpu_s == trial.usage["edge2"].cpu_s == 0.0
+    (result,) = summarize_trials(run)
+    (cpu,) = result.estimates["cpu"]
+    assert cpu is not None
+    assert cpu.mean == pytest.approx(100 * 3.2 / trial.latency / run.machines["robot1"].cores, rel=0.02)
+    assert load_run(tmp_path / "run") == run
 
 
 # -- the command, over ssh ---------------------------------------------------------------------------------------------------------------

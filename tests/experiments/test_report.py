@@ -1,7 +1,7 @@
 """Figures and page of a report: complete, readable, self-contained and reproducible."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from html.parser import HTMLParser
@@ -12,6 +12,7 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from edgectl.experiments.model.experiment import ExperimentRun, HostCapacity, LoadSample, MetricReading, Trial
+from edgectl.experiments.model.mission_event import CHANGE_KEYS, EventRecord
 from edgectl.experiments.model.schemes import Scheme
 from edgectl.experiments.report.trial_selection import (
     get_median_trial,
@@ -79,7 +80,7 @@ def draw(run: ExperimentRun) -> "list[ReportFigure]":
     return draw_figures(run)
 
 
-def a_page(run: ExperimentRun, *, drawn: bool = True) -> str:
+def a_page(run: ExperimentRun, *, drawn: bool = True, recovery: Sequence[Sequence[str]] = ()) -> str:
     from edgectl.experiments.report.figure_style import inline_svg_from_document, render_svg
     from edgectl.experiments.report.page import EmbeddedFigure, ReportTable, render_report_page
 
@@ -88,6 +89,7 @@ def a_page(run: ExperimentRun, *, drawn: bool = True) -> str:
         notes=["A note."],
         answer="utility <all> finished sooner.",
         compared=[["SCHEME", "AGAINST", "RATIO"], ["utility all", "static", "0.84 [0.73, 0.96]"]],
+        recovery=recovery,
     )
     return render_report_page(
         run,
@@ -186,7 +188,49 @@ def degenerate() -> Iterator[tuple[str, ExperimentRun]]:
             *(replace(trial, loads={"edge1": trial.loads["edge1"]}, readings={}) for trial in many.trials),
         ),
     )
+    yield "events", disturb(run)
     yield "large fleet", _larger(keep_readings(a_run(SCHEMES[2:3], 1)))
+
+
+def disturb(run: ExperimentRun) -> ExperimentRun:
+    """With an event of each kind in each trial; two at once, one that failed, and one with a name like markup."""
+    records = (
+        EventRecord(event="in", kind="join", subject="robot2", at=4.0),
+        *(
+            EventRecord(event=kind, kind=kind, subject="edge1", at=10.0 * number, until=10.0 * number + 5.0)
+            for number, kind in enumerate((*CHANGE_KEYS, "event"))
+        ),
+        EventRecord(event="far", kind="link", subject="<b>edge1</b>", at=10.0, error="tc exited with <1>"),
+    )
+    return bare(run, *(replace(trial, events=records) for trial in run.trials))
+
+
+def test_events_are_listed_and_marked() -> None:
+    run = disturb(keep_readings(keep_loads(a_run(SCHEMES[1:3], 1), "edge1"), "fps"))
+    page = a_page(run, recovery=[["RECOVERY s", "LINK"], ["static", "12.5±2.0 (1 of 4 not)"]])
+    words = Outline(page).words
+    assert "12.5±2.0 (1 of 4 not)" in words
+    assert "<b>edge1</b>" in words
+    assert "tc exited with <1>" in words
+    assert words.count("not recovered") == 0
+    plain = Outline(a_page(bare(run, *(replace(trial, events=()) for trial in run.trials)))).words
+    assert "Every event" in words
+    assert "Every event" not in plain
+    figures = {drawing.name: drawing for drawing in draw(run)}
+    for name in ("gantt", "cpu", "metric-1"):
+        assert "Dotted vertical lines are events" in figures[name].caption
+        for panel in figures[name].figure.axes:
+            dotted = [line for line in panel.lines if line.get_linestyle() == ":" or _is_dotted(line)]
+            assert len(dotted) == len(run.trials[0].events), name
+    legend = [text.get_text() for text in figures["gantt"].figure.legends[0].get_texts()]
+    assert [text for text in legend if text.startswith("event: ")] == [
+        f"event: {kind}" for kind in dict.fromkeys(record.kind for record in run.trials[0].events)
+    ]
+    assert all("Dotted" not in drawing.caption for drawing in draw(a_run(SCHEMES[1:2], 1, trials=1)))
+
+
+def _is_dotted(line: Any) -> bool:
+    return line.get_linestyle() == "--" and list(line.get_xdata()) == [line.get_xdata()[0]] * 2
 
 
 def _larger(run: ExperimentRun) -> ExperimentRun:
@@ -344,9 +388,10 @@ def test_a_name_in_a_script_that_the_font_lacks_is_drawn_all_the_same() -> None:
     "run",
     [
         keep_readings(a_run(SCHEMES[:3], 1), "loss"),
+        disturb(keep_readings(keep_loads(a_run(SCHEMES[2:3], 1), "edge1", "edge2"), "fps")),
         keep_loads(keep_readings(a_run(MANY[:7], 1), "fps"), "edge1", "edge2"),
     ],
-    ids=["every host", "many schemes with long names"],
+    ids=["every host", "events", "many schemes with long names"],
 )
 def test_words_neither_overlap_nor_leave_the_figure(run: ExperimentRun) -> None:
     for drawing in draw(run):

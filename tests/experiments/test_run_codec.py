@@ -18,6 +18,7 @@ from edgectl.experiments.model.experiment import (
     MapPair,
     MetricAggregation,
     MetricReading,
+    MissionUsage,
     PlacementInterval,
     Trial,
 )
@@ -31,10 +32,11 @@ from tests.formats.test_round_trip import bounded, json_values
 TRIAL = Trial(
     scheme="utility all", repetition=2, began_at=1.5, latency=62.125, finished=True, unplaced=3, completed={"merge": 62.125},
     spans=(PlacementInterval(task="slam", host="edge1", start=0.25, end=62.5),),
-    handoffs=(HandoffRecord(task="slam", source="edge1", target="edge2", at=30.5, downtime=0.75),),
+    handoffs=(HandoffRecord(task="slam", source="edge1", target="edge2", at=30.5, downtime=0.75, gap=0.5),),
     loads={"edge1": (LoadSample(at=0.0, cores=0.5, memory=1e8, bytes_per_s=2000.0), LoadSample(at=5.0, cores=1.25, memory=2e8, bytes_per_s=0.0))},
     readings={"fps": {"slam": (MetricReading(at=5.0, value=-12.5),)}},
     ssim={"ssim": -0.25},
+    usage={"edge1": MissionUsage(cpu_s=1.25, memory=1e8, network_bytes=5000.0), "edge2": MissionUsage(cpu_s=0.5, memory=1e8)},
 )  # fmt: skip
 EXPERIMENT = Experiment(
     name="mission", schemes=(Scheme(name="utility all", policy=POLICY),), until=("merge",), repetitions=2, every=2.5, limit=60.0, idle=0.5,

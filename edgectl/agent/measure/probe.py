@@ -55,6 +55,7 @@ def probe_host(request: Document) -> Document:
         },
         **measured,
         **lease,
+        **_read_totals(request),
     )
 
 
@@ -64,6 +65,14 @@ def _read_latencies(request: Document, tasks: "dict[str, Document]") -> "dict[st
     from .latency_reply import read_latencies
 
     return read_latencies(request["host"], request["latency"], tasks)
+
+
+def _read_totals(request: Document) -> Document:
+    if not request.get("totals"):
+        return {}
+    from .totals import read_totals
+
+    return {"totals": read_totals(request["host"])}
 
 
 def _describe_place() -> str:

@@ -140,7 +140,12 @@ class Supervisor:
         self.status.update(changes, dropped=self.log.dropped)
         final = self.status["state"] in protocol.FINAL_STATES
         if final:
-            self.status["ended"] = round(proc.read_uptime_s(), 2)
+            times = os.times()
+            self.status.update(
+                ended=round(proc.read_uptime_s(), 2),
+                # Its own work is not the task's; it has reaped all processes of the task.
+                cpu_s=round(times.children_user + times.children_system, 3),
+            )
         try:
             records.write_record(os.path.join(self.folder, "status"), self.status, durable=final)
         except (OSError, ValueError):

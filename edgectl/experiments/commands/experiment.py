@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Exit, Option
 
 from edgectl.cli import console, options
-from edgectl.cli.user_files import load_inputs
+from edgectl.cli.user_files import load_named_inputs
 from edgectl.errors import ExitCode, UsageError
 from edgectl.experiments.commands.scheme_options import EquivalenceOption, parse_equivalence
 from edgectl.views.output_format import EXPERIMENT_FORMATS, OutputFormat
@@ -60,7 +60,7 @@ def experiment_run_command(
     from edgectl.usecases.control import Control
 
     named_inventory, named_tasks = load_experiment_paths(spec)
-    loaded = load_inputs(inventory or named_inventory, tasks or ([named_tasks] if named_tasks else None))
+    loaded = load_named_inputs(inventory, tasks, named_inventory, named_tasks)
     problems = Problems()
     experiment = load_experiment(spec, loaded.inventory, loaded.tasks, problems)
     loaded = replace(loaded, exposed=(*loaded.exposed, *select_exposed(problems.warnings)))
@@ -139,10 +139,11 @@ def resolve_run_directory(given: Path | None) -> Path:
 
 def _print_experiment(output: OutputFormat, run: "ExperimentRun", bound: float | None = None) -> None:
     """``bound``: of equivalence, instead of that of the experiment file."""
+    from edgectl.experiments.event_results import add_trial_events
     from edgectl.experiments.scheme_comparison import compare_schemes
     from edgectl.experiments.scheme_results import summarize_trials
     from edgectl.experiments.views.experiment import ExperimentView
 
-    results = summarize_trials(run)
+    results = add_trial_events(run, summarize_trials(run))
     compared = compare_schemes(results, bound or run.experiment.equivalence)
     console.print_view(ExperimentView(run=run, results=results, comparisons=compared), output)

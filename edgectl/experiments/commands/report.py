@@ -80,6 +80,7 @@ def _build_report_table(run: "ExperimentRun", bound: float | None) -> "ReportTab
 
     ``bound``: of equivalence.
     """
+    from edgectl.experiments.event_results import add_trial_events
     from edgectl.experiments.report.page import ReportTable
     from edgectl.experiments.scheme_comparison import compare_schemes, find_primary_comparison
     from edgectl.experiments.scheme_results import summarize_trials
@@ -90,13 +91,15 @@ def _build_report_table(run: "ExperimentRun", bound: float | None) -> "ReportTab
         describe_experiment,
         list_compared_columns,
     )
+    from edgectl.experiments.views.recovery_table import build_recovery_rows
 
-    results = summarize_trials(run)
+    results = add_trial_events(run, summarize_trials(run))
     compared = compare_schemes(results, bound)
     columns = list_compared_columns(run.experiment, results, every=True)
     return ReportTable(
         rows=_list_row_texts(build_experiment_rows(run.experiment, results, every=True)),
         notes=list(describe_experiment(run.experiment, results, compared, every=True)),
+        recovery=_list_row_texts(build_recovery_rows(results)),
         answer=describe_answer(find_primary_comparison(compared)),
         compared=_list_row_texts(
             build_comparison_rows(compared, {column.name: column for column in columns})

@@ -43,7 +43,13 @@ from edgectl.config.yaml_parser import parse_yaml
 from edgectl.experiments.files.event_keys import EXPERIMENT_EVENT_KEYS, build_events_schema
 from edgectl.experiments.files.event_readers import can_complete, read_experiment_events
 from edgectl.experiments.files.fleet_files import resolve_fleet_files
-from edgectl.experiments.model.experiment import Experiment, MapPair, MetricAggregation
+from edgectl.experiments.model.experiment import (
+    BetterValue,
+    Experiment,
+    MapPair,
+    MetricAggregation,
+    RecoveryMetric,
+)
 from edgectl.experiments.model.schemes import Scheme, build_schemes
 from edgectl.model.inventory import Inventory
 from edgectl.model.policy import WEIGHT_PRESETS, Policy, PolicyName, Weights
@@ -113,6 +119,18 @@ def _read_schemes(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     return read_fields(node, problems, SCHEMES_KEYS, required=("policies",), what="schemes")
 
 
+RECOVERY_KEYS: Mapping[str, NodeReader] = {
+    "metric": read_name,
+    "better": enum_reader(BetterValue),
+    "within": quantity_reader(parse_share, at_most=1.0),
+    "window": quantity_reader(parse_duration, above_zero=True),
+}
+
+
+def _build_recovery(*, better: BetterValue, **values: Any) -> RecoveryMetric:  # noqa: ANN401
+    return RecoveryMetric(higher=better is BetterValue.HIGHER, **values)
+
+
 EXPERIMENT_KEYS: Mapping[str, NodeReader] = {
     "version": read_version,
     "name": read_name,
@@ -132,6 +150,7 @@ EXPERIMENT_KEYS: Mapping[str, NodeReader] = {
         record_reader(MAP_PAIR_KEYS, MapPair, "a map", ("task", "file", "truth")),
     ),
     "events": keep_node,
+    "recovery": record_reader(RECOVERY_KEYS, _build_recovery, "recovery", ("metric", "better")),
 }
 
 
@@ -194,7 +213,7 @@ def _build_experiment(
     _check_map_pairs(fields.at("maps"), values.get("maps", {}), directory, tasks, problems)
     given = {
         key: values[key]
-        for key in ("repetitions", "every", "limit", "idle", "equivalence", "metrics", "maps")
+        for key in ("repetitions", "every", "limit", "idle", "equivalence", "metrics", "maps", "recovery")
         if key in values
     }
     return Experiment(

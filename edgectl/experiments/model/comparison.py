@@ -5,6 +5,9 @@ from dataclasses import dataclass, field
 
 from edgectl.experiments.model.schemes import Scheme
 
+# Times of missions are in seconds where all means are below this, else in minutes.
+SHORT_MISSION_S = 120.0
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Utilisation:
@@ -81,16 +84,46 @@ class SchemeComparison:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RecoveryResult:
+    """Recovery after ``count`` events, of which ``not_recovered`` were not overcome (ADR 133).
+
+    ``recovery``: s, over the runs; of one run the mean of its events that were overcome. None: none was.
+    """
+
+    count: int
+    not_recovered: int
+    recovery: Estimate | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EventResult:
+    """An event of the mission over all runs of a scheme.
+
+    ``at``: s after the start of the mission, of its first occurrence in a run. ``failed``: how often it was
+    not made, or not undone.
+    """
+
+    event: str
+    kind: str
+    subject: str
+    failed: int
+    at: Estimate | None
+    recoveries: RecoveryResult
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SchemeResult:
     """A scheme over all its runs, simulated or real: a column of the paper's table. None: no run has a value.
 
     ``estimates``: by metric, one for each of ``hosts`` (the edges), or a single one: of the mission, or under
     local execution the mean over the robots (``hosts`` is empty). Metrics: latency (min); cpu, cpu peak and
     memory (percent); throughput (MB/s); handoffs (per run). Simulated runs add rate (frames/s); real ones add
-    downtime (s, mean over handoffs) and unplaced (tasks without a host, per run). ``metrics``: of the
+    downtime and gap (s, means over handoffs), cpu_s (CPU seconds of all hosts), air (MB over the interfaces
+    of a robot, mean over robots) and unplaced (tasks without a host, per run). ``metrics``: of the
     application. ``maps``: SSIM, -1..1. ``unfinished``: runs ended by the time limit. ``unplaced``: summed
-    over all plans. ``values``: by metric, the value of each run by its number (the repetition of a trial);
-    the mean over the hosts where it has several.
+    over all plans. ``events``: in the order in which they first happened; ``recoveries``: by kind of event.
+    ``values``: by metric, the value of each run by its number (the repetition of a trial); the mean over the
+    hosts where it has several.
     """
 
     scheme: Scheme
@@ -102,6 +135,8 @@ class SchemeResult:
     metrics: Mapping[str, Estimate | None] = field(default_factory=dict)
     maps: Mapping[str, Estimate | None] = field(default_factory=dict)
     values: Mapping[str, Mapping[int, float]] = field(default_factory=dict)
+    events: tuple[EventResult, ...] = ()
+    recoveries: Mapping[str, RecoveryResult] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -30,6 +30,13 @@ class MetricAggregation(StrEnum):
     MAX = "max"
 
 
+class BetterValue(StrEnum):
+    """Which values of a metric are better."""
+
+    HIGHER = "higher"
+    LOWER = "lower"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapPair:
     """A map and its ground truth.
@@ -44,14 +51,27 @@ class MapPair:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RecoveryMetric:
+    """The metric that tells how well a task does, for recovery after events (ADR 133).
+
+    ``within``: how much worse than before still counts as good, as a share. ``window``: s of the means.
+    """
+
+    metric: str = ""
+    higher: bool = field(default=True, metadata=in_document("higher_is_better", always=True))
+    within: float = field(default=0.1, metadata=_WRITTEN)
+    window: Positive = field(default=10.0, metadata=in_document("window_s", always=True))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
     """The specification: ``repetitions`` trials of each scheme.
 
     A trial ends when all tasks in ``until`` have completed, or after ``limit`` s. ``every``: period of
     sampling and planning in s. ``idle``: highest CPU utilisation of a host before a trial, 0..1. ``metrics``:
     of the application, in the order of the table. ``maps``: by column of the table, maps scored by SSIM.
+    ``events``: what changes during a trial. ``recovery``: None: a task does well where it runs.
     ``equivalence``: schemes whose missions differ by less than this share count as equal.
-    ``events``: what changes during a trial.
     """
 
     name: str
@@ -65,6 +85,7 @@ class Experiment:
     maps: Mapping[str, MapPair] = field(default_factory=dict, metadata=_WRITTEN)
     equivalence: Positive | None = None
     events: tuple[MissionEvent, ...] = field(default=(), metadata=in_document(keyed_by="name"))
+    recovery: RecoveryMetric | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,6 +108,19 @@ class LoadSample:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class MissionUsage:
+    """What a host used from the start of a trial to the end of its mission, by counters (ADR 0132).
+
+    ``cpu_s``: CPU seconds; of a host with a declared capacity those of its tasks. ``network_bytes``: in and
+    out over its interfaces; None for a host with a declared capacity. ``memory``: mean in bytes.
+    """
+
+    cpu_s: Annotated[float, Rounded(decimals=3)]
+    memory: Whole = field(metadata=in_document("memory_bytes"))
+    network_bytes: Whole | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PlacementInterval:
     """``task`` ran on ``host`` from ``start`` to ``end``, in s after the start of the trial."""
 
@@ -100,7 +134,8 @@ class PlacementInterval:
 class HandoffRecord:
     """A move of ``task``, finished ``at`` s after the start of the trial.
 
-    ``downtime`` in s, None if not measured.
+    ``downtime``: from stop to ready, in s; ``gap``: silence of the task at its robot, in s, by the rule
+    ``heard`` of the task. None if not measured.
     """
 
     task: str
@@ -108,6 +143,7 @@ class HandoffRecord:
     target: str
     at: Seconds = field(metadata=in_document("at_s"))
     downtime: Seconds | None = field(default=None, metadata=in_document("downtime_s", always=True))
+    gap: Seconds | None = field(default=None, metadata=in_document("gap_s"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,6 +161,7 @@ class Trial:
     ``latency``: s from the first plan to the completion of the last task in ``until``; the time limit if not
     ``finished``. ``completed``: by task, s after the start of the trial. ``unplaced``: tasks without a host,
     summed over all plans. ``loads``: by host. ``readings``: by metric, then task. ``ssim``: by column, -1..1.
+    ``usage``: by host, over the mission; empty in trials of earlier releases.
     ``events``: what happened, in the order of time.
     """
 
@@ -144,6 +181,7 @@ class Trial:
         default_factory=dict, metadata=_WRITTEN
     )
     ssim: Mapping[str, Similarity] = field(default_factory=dict, metadata=_WRITTEN)
+    usage: Mapping[str, MissionUsage] = field(default_factory=dict)
     events: tuple[EventRecord, ...] = ()
 
 

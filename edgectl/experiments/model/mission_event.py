@@ -138,8 +138,8 @@ CHANGE_KEYS = (*MODEL_CHANGE_KEYS, *TASK_CHANGE_KEYS, *ACT_CHANGE_KEYS)
 class EventRecord:
     """A change that happened ``at`` s after the start of the mission, and was undone at ``until``.
 
-    ``until``: None where it was not undone. ``error``: why it was not made, or not undone. ``recovery``: s
-    until what it disturbed was as good as before (ADR 133), None where that was not seen.
+    ``until``: None where it was not undone. ``error``: why it was not made, or not undone. ``tasks``: those
+    that entered with it.
     """
 
     event: str
@@ -148,13 +148,18 @@ class EventRecord:
     at: Time = field(metadata=in_document("at_s"))
     until: Time | None = field(default=None, metadata=in_document("until_s"))
     error: str = ""
-    recovery: Time | None = field(default=None, metadata=in_document("recovery_s", always=True))
+    tasks: tuple[str, ...] = ()
 
 
-def begin_record(event: MissionEvent, at: float, error: str = "") -> EventRecord:
-    """The record of an occurrence that begins ``at`` s after the start of the mission."""
+def begin_record(event: MissionEvent, at: float, tasks: Tasks) -> EventRecord:
+    """The record of an occurrence that begins ``at`` s after the start of the mission; ``tasks``: all."""
+    present = select_present_tasks(tasks, (event,), ()).tasks
     return EventRecord(
-        event=event.name, kind=event.kind or event.change, subject=event.subject, at=at, error=error
+        event=event.name,
+        kind=event.kind or event.change,
+        subject=event.subject,
+        at=at,
+        tasks=tuple(name for name in tasks.tasks if name not in present),
     )
 
 

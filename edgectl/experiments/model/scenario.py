@@ -100,7 +100,8 @@ class SimRun:
     """One run of the mission.
 
     ``latency`` in s; not ``finished``: ended by the time limit. ``usage``: by host. ``events``: what
-    happened, in the order of time.
+    happened, in the order of time. ``courses``: with events, by task with work, (s, speed) whenever its speed
+    changed, None while it did not run; up to ``course_ends`` where its work was done.
     """
 
     latency: float
@@ -110,3 +111,5 @@ class SimRun:
     usage: Mapping[str, SimHostUsage]
     jobs: Mapping[str, float] = field(default_factory=dict)
     events: tuple[EventRecord, ...] = ()
+    courses: Mapping[str, tuple[tuple[float, float | None], ...]] = field(default_factory=dict)
+    course_ends: Mapping[str, float] = field(default_factory=dict)

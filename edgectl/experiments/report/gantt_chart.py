@@ -11,6 +11,13 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from edgectl.experiments.model.experiment import ExperimentRun, Trial
+from edgectl.experiments.report.event_marks import (
+    CAPTION,
+    build_sign_legend,
+    draw_event_marks,
+    draw_event_signs,
+    list_event_kinds,
+)
 from edgectl.experiments.report.figure_style import (
     FIGURE_WIDTH_IN,
     INK,
@@ -64,7 +71,7 @@ def draw_gantt_charts(run: ExperimentRun) -> list[ReportFigure]:
             title="Tasks over hosts",
             caption="Placement of each task in the trial of median latency of each scheme. The colour of a "
             "bar, and its label if there is room, is the host; a triangle marks the end of a handoff, a "
-            "vertical line the completion of the task.",
+            "vertical line the completion of the task." + (CAPTION if list_event_kinds(trials) else ""),
             figure=_draw_gantt_figure(run, trials),
         )
     ]
@@ -82,8 +89,10 @@ def _draw_gantt_figure(run: ExperimentRun, trials: Sequence[Trial]) -> Figure:
         or 1.0
     )
     unit, word = choose_time_unit(run)
-    across, legend = min(len(trials), _MAX_CHARTS_PER_ROW), _compute_legend_columns(colours)
-    top = 0.3 + 0.14 * ceil((len(colours) + 2) / legend)
+    signs = build_sign_legend(list_event_kinds(trials))
+    names = [*colours, *(str(sign.get_label()) for sign in signs)]
+    across, legend = min(len(trials), _MAX_CHARTS_PER_ROW), _compute_legend_columns(names)
+    top = 0.3 + 0.14 * ceil((len(names) + 2) / legend)
     left = estimate_text_width_in(map(shorten_label, tasks), SMALL_TEXT_PT) + 0.1
     figure, axes = create_panels(
         ceil(len(trials) / across),
@@ -107,7 +116,7 @@ def _draw_gantt_figure(run: ExperimentRun, trials: Sequence[Trial]) -> Figure:
         panel.tick_params(labelbottom=True)
     axes[0][0].set_xlim(0.0, 1.02 * end / unit)
     axes[0][0].xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 3, 5, 6, 10]))
-    _draw_gantt_legend(figure, colours, legend)
+    _draw_gantt_legend(figure, colours, signs, legend)
     label_x_axis(figure, f"time since the start of the trial ({word})")
     return figure
 
@@ -148,6 +157,8 @@ def _draw_gantt_panel(
     panel.plot(
         [at / unit for at, _ in moved], [place - 0.33 for _, place in moved], clip_on=False, **_HANDOFF_MARKER
     )
+    draw_event_marks(panel, trial.events, unit)
+    draw_event_signs(panel, trial.events, unit)
     panel.set_ylim(len(tasks) - 0.45, -0.55)
     panel.set_yticks(range(len(tasks)), [shorten_label(task) for task in tasks])
     panel.tick_params(axis="y", length=0.0)
@@ -162,7 +173,9 @@ def _compute_legend_columns(names: Collection[str]) -> int:
     return ceil((len(names) + 2) / ceil((len(names) + 2) / fitting))
 
 
-def _draw_gantt_legend(figure: Figure, colours: dict[str, str], columns: int) -> None:
+def _draw_gantt_legend(
+    figure: Figure, colours: dict[str, str], signs: Sequence[Line2D], columns: int
+) -> None:
     """Draw the legend of colours and markers above all panels."""
     hosts = [
         Patch(facecolor=colour, edgecolor=_DARK_COLOUR, linewidth=0.3, label=shorten_label(host))
@@ -173,7 +186,7 @@ def _draw_gantt_legend(figure: Figure, colours: dict[str, str], columns: int) ->
         Line2D([], [], label="completed", **_COMPLETED_MARKER),
     ]
     figure.legend(
-        handles=[*hosts, *marks],
+        handles=[*hosts, *marks, *signs],
         loc="upper left",
         bbox_to_anchor=(0.0, 1.0),
         ncols=columns,

@@ -8,6 +8,7 @@ from statistics import median
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from edgectl import __version__
+from edgectl.experiments.event_results import measure_trial_recoveries
 from edgectl.experiments.model.experiment import ExperimentRun, HandoffRecord
 from edgectl.experiments.report.trial_selection import is_mission_short, list_missing_trials, select_trials
 from edgectl.units import format_bytes, format_duration, format_instant
@@ -25,7 +26,7 @@ class EmbeddedFigure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportTable:
-    """Rows of cells, the first one the heading, and the notes below.
+    """Rows of cells, the first one the heading, and the notes below. ``recovery``: likewise, after events.
 
     ``answer``: the sentence that opens the page. ``compared``: rows of the comparisons; empty without any.
     """
@@ -34,6 +35,7 @@ class ReportTable:
     notes: Sequence[str]
     answer: str
     compared: Sequence[Sequence[str]] = ()
+    recovery: Sequence[Sequence[str]] = ()
 
 
 def render_report_page(run: ExperimentRun, table: ReportTable, figures: Sequence[EmbeddedFigure]) -> str:
@@ -65,6 +67,8 @@ def render_report_page(run: ExperimentRun, table: ReportTable, figures: Sequence
         compared=table.compared,
         figures=figures,
         moves=list(_build_handoff_rows(run)),
+        recovery=table.recovery,
+        events=list(_build_event_rows(run)),
     )
 
 
@@ -89,6 +93,19 @@ def _build_handoff_rows(run: ExperimentRun) -> Iterator[Mapping[str, object]]:
                 "per_trial": f"{len(found) / len(trials):.1f}",
                 "median": _format_measured_seconds(median(known) if known else None),
                 "greatest": _format_measured_seconds(max(known, default=None)),
+            }
+
+
+def _build_event_rows(run: ExperimentRun) -> Iterator[Mapping[str, object]]:
+    """One row per event of each trial."""
+    for trial in run.trials:
+        for record, recovery in measure_trial_recoveries(run.experiment, trial):
+            yield {
+                "scheme": trial.scheme,
+                "repetition": trial.repetition,
+                "record": record,
+                "until": "" if record.until is None else f"{record.until:.1f}",
+                "recovery": "not recovered" if recovery is None else f"{recovery:.1f}",
             }
 
 

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from edgectl.experiments.model.experiment import ExperimentRun, HostCapacity, Trial
+from edgectl.experiments.report.event_marks import CAPTION, draw_event_marks, list_event_kinds
 from edgectl.experiments.report.figure_style import (
     ReportFigure,
     choose_time_unit,
@@ -126,13 +127,14 @@ def _draw_quantity(
     ``most``: smallest upper end of the value axis.
     """
     measure = "As written by the tasks" if what == "task" else f"In {unit}"
+    marks = CAPTION if list_event_kinds(run.trials) else ""
     columns = list(heads)
     return [
         ReportFigure(
             name=f"{name}-{first // _MAX_PANELS_PER_ROW + 1}" if first else name,
             title=title,
             caption=f"{measure}, over the time since the start of the trial, by scheme (rows) and {what} "
-            f"(columns). All panels have the same axes. {_CAPTION_LINES}{note}",
+            f"(columns). All panels have the same axes. {_CAPTION_LINES}{note}{marks}",
             figure=_draw_time_series_figure(
                 run,
                 {column: heads[column] for column in columns[first : first + _MAX_PANELS_PER_ROW]},
@@ -161,6 +163,8 @@ def _draw_time_series_figure(
         trials = select_trials(run, scheme)
         for column, panel in zip(heads, row, strict=True):
             lines_of_trials = [series for trial in trials if (series := sorted(read(trial, column)))]
+            for trial in trials:
+                draw_event_marks(panel, trial.events, second)
             _draw_series_panel(
                 panel, lines_of_trials, get_scheme_colour(run, scheme), second, run.experiment.every
             )

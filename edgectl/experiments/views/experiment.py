@@ -12,6 +12,12 @@ from edgectl.experiments.views.comparison_table import (
     encode_comparison,
     render_comparison_table,
 )
+from edgectl.experiments.views.recovery_table import (
+    build_recovery_rows,
+    describe_recovery,
+    encode_events,
+    render_recovery_table,
+)
 from edgectl.experiments.views.scheme_table import (
     MetricColumn,
     build_application_column,
@@ -56,20 +62,17 @@ class ExperimentView(ItemView):
 
     def markdown(self) -> str:
         """The wide table in Markdown, and its notes as a list."""
-        heading, *body = (
-            [cell if isinstance(cell, str) else cell.text for cell in row]
-            for row in build_experiment_rows(self.run.experiment, self.results, every=True)
-        )
-        lines = [heading, ["---", *["---:"] * (len(heading) - 1)]]
-        lines += ([escape_markdown(cell) for cell in row] for row in body)
-        rows = "".join(f"| {' | '.join(line)} |\n" for line in lines)
+        rows = build_experiment_rows(self.run.experiment, self.results, every=True)
+        recovery = build_recovery_rows(self.results)
+        tables = [_render_markdown_table(each) + "\n" for each in (rows, recovery) if each]
         notes = self._list_notes(every=True)
-        return rows + "\n" + "".join(f"- {escape_markdown(note)}\n" for note in notes)
+        return "".join((*tables, *(f"- {escape_markdown(note)}\n" for note in notes)))
 
     def item(self) -> Document:
         """All estimates as JSON types.
 
-        Latency in min, CPU and memory in percent, throughput in MB/s, downtime in s.
+        Latency in min, CPU and memory in percent, throughput in MB/s, downtime, gap and cpu_s in s, air
+        in MB.
         """
         return {
             "experiment": self.run.experiment.name,
@@ -79,7 +82,11 @@ class ExperimentView(ItemView):
             "answer": describe_answer(find_primary_comparison(self.comparisons)),
             "comparisons": [encode_comparison(each) for each in self.comparisons],
             "schemes": [
-                {**encode_scheme_result(result), **encode_application_metrics(result)}
+                {
+                    **encode_scheme_result(result),
+                    **encode_application_metrics(result),
+                    **encode_events(result),
+                }
                 for result in self.results
             ],
         }
@@ -94,13 +101,21 @@ class ExperimentView(ItemView):
         text = "".join(wrap_text(escape_unprintable(note), look) for note in self._list_notes(every=every))
         columns = list_compared_columns(self.run.experiment, self.results, every=every)
         compared = render_comparison_table(self.comparisons, columns, look)
-        return f"{render_scheme_table(rows, look)}\n{compared}{text}"
+        recovery = render_recovery_table(self.results, look)
+        return f"{render_scheme_table(rows, look)}{recovery}\n{compared}{text}"
 
     def _list_notes(self, *, every: bool) -> Iterator[str]:
         """The answer, where there is one, and the notes on the tables."""
         if self.comparisons:
             yield describe_answer(find_primary_comparison(self.comparisons))
         yield from describe_experiment(self.run.experiment, self.results, self.comparisons, every=every)
+
+
+def _render_markdown_table(rows: Sequence[Row]) -> str:
+    heading, *body = ([cell if isinstance(cell, str) else cell.text for cell in row] for row in rows)
+    lines = [heading, ["---", *["---:"] * (len(heading) - 1)]]
+    lines += ([escape_markdown(cell) for cell in row] for row in body)
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def build_experiment_rows(
@@ -128,6 +143,7 @@ def _build_experiment_columns(
         *build_usage_columns(results),
         build_metric_column("handoffs", "HANDOFFS", 1),
         build_metric_column("downtime", "DOWNTIME s", 1),
+        *_build_counter_columns(results),
         build_metric_column("unplaced", "UNPLACED", 1),
     )
     return [
@@ -145,6 +161,16 @@ def list_compared_columns(
     return [column for column in columns if every or column.name == MISSION_TIME]
 
 
+def _build_counter_columns(results: Sequence[SchemeResult]) -> list[MetricColumn]:
+    """The columns of figures that earlier releases did not record, where a scheme has them."""
+    columns = (
+        build_metric_column("gap", "GAP s", 1),
+        build_metric_column("cpu_s", "CPU s", 1),
+        build_metric_column("air", "AIR MB", 1),
+    )
+    return [column for column in columns if any(any(column.estimates(result)) for result in results)]
+
+
 def describe_experiment(
     experiment: Experiment,
     results: Sequence[SchemeResult],
@@ -159,6 +185,7 @@ def describe_experiment(
     yield f"{done} of {planned} trials of {experiment.name}; {describe_table_numbers(every=every)}{by_edge}."
     yield from describe_comparisons(comparisons)
     yield from describe_unfinished(results, "trials")
+    yield from describe_recovery(results)
     yield from (
         f"{result.scheme.name}: unplaced tasks, summed over all plans: {result.unplaced}"
         for result in results

@@ -12,6 +12,11 @@ from edgectl.experiments.views.comparison_table import (
     encode_comparison,
     render_comparison_table,
 )
+from edgectl.experiments.views.recovery_table import (
+    describe_recovery,
+    encode_events,
+    render_recovery_table,
+)
 from edgectl.experiments.views.scheme_table import (
     MetricColumn,
     build_metric_column,
@@ -80,7 +85,8 @@ class SimulationView(ItemView):
         notes = "".join(wrap_text(note, look) for note in self._describe(every=every))
         shown = columns if every else [column for column in columns if column.name == MISSION_TIME]
         compared = render_comparison_table(self.comparisons, shown, look)
-        return f"{render_scheme_table(rows, look)}\n{compared}{notes}"
+        recovery = render_recovery_table(self.results, look)
+        return f"{render_scheme_table(rows, look)}{recovery}\n{compared}{notes}"
 
     def _describe(self, *, every: bool) -> Iterator[str]:
         """The notes below the table."""
@@ -92,6 +98,7 @@ class SimulationView(ItemView):
         yield f"{runs} {noun} of each scheme; {numbers}, by edge (local: of the robots)."
         yield from describe_comparisons(self.comparisons)
         yield from describe_unfinished(self.results, "runs")
+        yield from describe_recovery(self.results)
         yield from describe_latency_ratios(
             self.results, lambda result, base: _format_reference_ratio(self.reference, result, base)
         )
@@ -186,6 +193,7 @@ def _encode_simulated_scheme(result: SchemeResult, reference: ReferenceValues) -
     known = reference.means.get(result.scheme.name, {})
     return {
         **encode_scheme_result(result),
+        **encode_events(result),
         "reference_figures": {
             metric: [encode_optional(mean) for mean in means] for metric, means in known.items()
         },
