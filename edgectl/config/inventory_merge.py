@@ -3,9 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from edgectl.config.fields import Fields, read_fields
+from edgectl.config.fields import Fields, merge_keys, read_fields
 from edgectl.config.fleet_name import derive_fleet_name
 from edgectl.config.inventory_file import (
     INVENTORY_KEYS,
@@ -60,7 +59,7 @@ def read_inventories(nodes: Sequence[Node], problems: Problems) -> Inventory:
     for top in files:
         if "links" in top:
             read_link_entries(top.at("links"), ordered, links, problems)
-    stated = _merge_fleet_keys(files, problems)
+    stated = merge_keys(files, _FLEET_KEYS, problems)
     fleet = stated.get("fleet") or derive_fleet_name(Path(nodes[0].mark.source.file))
     _check_fleet_name(files, fleet, problems)
     inventory = Inventory(
@@ -94,27 +93,6 @@ def _read_hosts(files: Sequence[Fields], problems: Problems) -> tuple[dict[str, 
             if key in top:
                 read_host_entries(top.at(key), role, defaults, hosts, places, problems)
     return hosts, places
-
-
-def _merge_fleet_keys(files: Sequence[Fields], problems: Problems) -> dict[str, Any]:
-    """What the files say of the whole fleet; two different statements are a mistake."""
-    stated: dict[str, Any] = {}
-    first: dict[str, Mark] = {}
-    for top in files:
-        for key in _FLEET_KEYS:
-            if key not in top.values:
-                continue
-            if key in stated and stated[key] != top.values[key]:
-                problems.add(
-                    top.node.key_mark(key),
-                    ProblemCode.TAKEN,
-                    f"{key} is stated differently in {first[key].source.file}, line {first[key].line}",
-                    f"keep {key} in one file, or write the same in both",
-                )
-                continue
-            stated.setdefault(key, top.values[key])
-            first.setdefault(key, top.node.key_mark(key))
-    return stated
 
 
 def _read_on_event(files: Sequence[Fields], problems: Problems) -> tuple[EventHook, ...]:

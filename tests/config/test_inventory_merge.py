@@ -84,3 +84,11 @@ def test_task_files_have_the_same_id_in_any_order(tmp_path: Path) -> None:
     tasks.write_text("version: 1\ntasks:\n  nav: {robot: robot2, command: 'true'}\n")
     ids = {load_inventory_and_tasks(order, tasks)[1].files for order in (files, list(reversed(files)))}
     assert ids == {frozenset({"work.yaml"})}
+
+
+def test_programs_for_events_of_all_files_count_in_an_order_of_their_own(tmp_path: Path) -> None:
+    hooks = "on_event:\n- {{command: [{0}]}}\n"
+    files = write(tmp_path, zulu=EDGES + hooks.format("mail"), alfa=MORE + hooks.format("chat"))
+    one, other = load_inventory(files), load_inventory(list(reversed(files)))
+    assert one == other
+    assert [hook.command for hook in one.on_event] == [("chat",), ("mail",)]
