@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from edgectl.experiments.model.comparison import Estimate, ReferenceValues, SchemeResult
 from edgectl.experiments.model.experiment import ExperimentRun
 from edgectl.experiments.model.scenario import Scenario
+from edgectl.experiments.paired_tests import SampleSummary, compute_welch_p
 from edgectl.experiments.scheme_results import HOST_METRICS, summarize_trials
 
 _MISSION_METRICS = ("latency", "handoffs")
@@ -14,8 +15,33 @@ RATE_METRICS = ("rate", "fps")
 
 
 def reference_from_scenario(scenario: Scenario) -> ReferenceValues:
-    """The published values in the scenario file."""
-    return ReferenceValues(label="published", means=scenario.published)
+    """The published values in the scenario file, with Welch's test of their latencies."""
+    return ReferenceValues(
+        label="published", means=scenario.published, notes=tuple(_describe_published_tests(scenario))
+    )
+
+
+def _describe_published_tests(scenario: Scenario) -> Iterator[str]:
+    """P of each dynamic scheme against static and against local; the published trials are not paired."""
+    known = {
+        name: SampleSummary(means["latency"][0], scenario.published_std[name], scenario.published_runs)
+        for name, means in scenario.published.items()
+        if means.get("latency") and name in scenario.published_std
+    }
+    for base in ("static", "local"):
+        tests = {
+            name: p
+            for name, summary in known.items()
+            if name not in ("static", "local")
+            and base in known
+            and (p := compute_welch_p(summary, known[base])) is not None
+        }
+        if tests:
+            found = ", ".join(f"{name} p = {p:.2g}" for name, p in tests.items())
+            yield (
+                f"Published latencies against {base} (Welch's test, {scenario.published_runs} trials each, "
+                f"not corrected for their number): {found}."
+            )
 
 
 def reference_from_run(simulated: Sequence[SchemeResult], run: ExperimentRun) -> ReferenceValues:

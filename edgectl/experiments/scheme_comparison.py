@@ -71,11 +71,15 @@ def find_primary_comparison(comparisons: Sequence[SchemeComparison]) -> SchemeCo
 def _list_compared_pairs(
     results: Sequence[SchemeResult],
 ) -> Iterator[tuple[SchemeResult, SchemeResult]]:
-    utility = [result for result in results if result.scheme.policy.name is PolicyName.UTILITY]
-    others = [result for result in results if result.scheme.policy.name is not PolicyName.UTILITY]
+    utility = [result for result in results if _is_utility(result)]
+    others = [result for result in results if not _is_utility(result)]
     if not utility or not others:
         utility, others = list(results[1:]), list(results[:1])
     yield from ((result, base) for result in utility for base in others)
+
+
+def _is_utility(result: SchemeResult) -> bool:
+    return result.scheme.policy.name is PolicyName.UTILITY and not result.scheme.oracle
 
 
 def _compare_pair(

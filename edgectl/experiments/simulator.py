@@ -15,6 +15,7 @@ from edgectl.executor.diff import diff_assignment
 from edgectl.experiments.model.mission_event import select_present_tasks
 from edgectl.experiments.model.scenario import Scenario, SimJob, SimRun
 from edgectl.experiments.simulator_events import start_events
+from edgectl.experiments.simulator_oracle import assign_by_oracle
 from edgectl.experiments.simulator_probe import simulate_probe
 from edgectl.experiments.simulator_state import (
     HostMeter,
@@ -49,8 +50,12 @@ def simulate_mission(
     policy: Policy,
     draw_normal: NormalDraw,
     draw_uniform: UniformDraw = draw_no_jitter,
+    *,
+    oracle: bool = False,
 ) -> SimRun:
     """One run of the mission under ``policy``; the same draws give the same run.
+
+    ``oracle``: choose hosts by true speeds and links (`simulator_oracle.assign_by_oracle`).
 
     ``draw_uniform`` has a stream for each event, so that events come alike whatever else is drawn.
     """
@@ -60,7 +65,8 @@ def simulate_mission(
         inventory=inventory,
         tasks=select_present_tasks(tasks, scenario.events, ()),
         scenario=scenario,
-        policy=replace(policy, attended=False),
+        policy=replace(policy, attended=False, best_effort=policy.best_effort or oracle),
+        oracle=oracle,
         all_tasks=tasks,
         draw_normal=draw_normal,
         draw_uniform=draw_uniform,
@@ -123,7 +129,7 @@ def _run_job(
     if state.scenario.events:
         notify_change(state)
     while work > 1e-9:
-        part.speed, part.since = state.speeds.get(job.task, 0.0), state.env.now
+        part.speed, part.since, part.left = state.speeds.get(job.task, 0.0), state.env.now, work
         changed = state.changed
         yield (
             simpy.AnyOf(state.env, [changed, state.env.timeout(work / part.speed)])
@@ -137,6 +143,7 @@ def _run_job(
             state.robot_done[robot] = state.robot_done.get(robot, 0.0) + done
     del state.working[job.name]
     ends[job.name] = state.env.now
+    state.ends.add(job.name)
     state.left[job.task] -= 1
     state.samples.clear()
     if state.scenario.links or state.scenario.events:
@@ -162,6 +169,8 @@ def _plan_cycle(state: SimState) -> tuple[Step, ...]:
     assignment = assign(
         state.inventory, state.tasks, snapshot, state.manager, state.policy, state.env.now, explain=False
     )
+    if state.oracle:
+        assignment = assign_by_oracle(state, assignment)
     return diff_assignment(assignment, state.tasks, snapshot, state.manager)
 
 

@@ -38,6 +38,7 @@ def simulate_schemes(
                 replace(scheme.policy, seed=_MAX_RUNS * seed + run),
                 partial(create_stream(f"{seed}/{run}").gauss, 0.0, 1.0),
                 build_uniform_draw(f"{seed}/{run}"),
+                oracle=scheme.oracle,
             )
             for run in range(runs)
         ]

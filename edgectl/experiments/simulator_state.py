@@ -91,6 +91,7 @@ class SimWork:
     robot: str | None
     since: float
     speed: float = 0.0
+    left: float = 0.0
 
 
 class SimSample(NamedTuple):
@@ -146,6 +147,8 @@ class SimState:
     happened: set[str] = field(default_factory=set)
     records: list[EventRecord] = field(default_factory=list)
     working: dict[str, SimWork] = field(default_factory=dict)
+    ends: set[str] = field(default_factory=set)
+    oracle: bool = False
     robot_work: dict[str, float] = field(default_factory=dict)
     robot_done: dict[str, float] = field(default_factory=dict)
     courses: dict[str, list[tuple[float, float | None]]] = field(default_factory=dict)

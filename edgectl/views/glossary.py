@@ -357,10 +357,10 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "spec": "specification of a task",
     },
     KeyType.LIST: {
+        "comparisons": "comparisons of schemes by pairs of runs",
         "inventories": "inventory files that make one fleet together",
         "task_files": "task files, and directories of them",
         "values": "values of a setting",
-        "comparisons": "comparisons of schemes by pairs of runs",
         "actions": "actions with their phases",
         "assumed": "tasks whose demand counts as their usage",
         "assumptions": "assumptions of a scenario",

@@ -7,8 +7,9 @@ import pytest
 
 from edgectl.experiments.model.comparison import Estimate, SchemeResult
 from edgectl.experiments.model.experiment import ExperimentRun, HostCapacity, MetricAggregation
+from edgectl.experiments.model.scenario import Scenario
 from edgectl.experiments.model.schemes import Scheme
-from edgectl.experiments.reference_values import reference_from_run
+from edgectl.experiments.reference_values import reference_from_run, reference_from_scenario
 from edgectl.experiments.scheme_results import summarize_trials
 from edgectl.model.inventory import Role
 from edgectl.model.policy import Policy
@@ -36,6 +37,24 @@ def model(name: str, *hosts: str) -> SchemeResult:
 
 def real(run: ExperimentRun, name: str) -> SchemeResult:
     return next(each for each in summarize_trials(run) if each.scheme.name == name)
+
+
+def test_published_latencies_are_compared_by_welch() -> None:
+    """Scenario 1 of the paper, by hand: (9.93 - 6.93) / sqrt((2.15^2 + 3.42^2) / 5) = 1.661 at 6.73: p = .14."""
+    published = {
+        "utility all": {"latency": (6.93,)},
+        "static": {"latency": (9.93,)},
+        "other": {"cpu": (1.0,)},
+    }
+    scenario = Scenario(
+        name="paper", assumptions=(), hosts={}, jobs=(), published=published,
+        published_std={"static": 2.15, "utility all": 3.42}, published_runs=5,
+    )  # fmt: skip
+    assert reference_from_scenario(scenario).notes == (
+        "Published latencies against static (Welch's test, 5 trials each, not corrected for their number): utility all p = 0.14.",
+    )
+    assert reference_from_scenario(replace(scenario, published_runs=1)).notes == ()
+    assert reference_from_scenario(replace(scenario, published_std={})).notes == ()
 
 
 def test_hosts_are_matched_by_their_names() -> None:

@@ -27,6 +27,8 @@ jobs:
 placed: {merge: edge1}
 rate: {slam-robot1: 3.6}
 published: {local: {cpu: [99.8], latency: [14.4]}}
+published_std: {local: 7.78}
+published_runs: 5
 """
 
 
@@ -53,6 +55,7 @@ def test_hosts_and_jobs_are_spelled_out(tmp_path: Path) -> None:
     ]
     assert found.jobs[0] == SimJob(name="map-robot1", task="slam-robot1", work=300.0, spread=0.1)
     assert found.published["local"]["latency"] == (14.4,)
+    assert (found.published_std, found.published_runs) == ({"local": 7.78}, 5)
 
 
 @pytest.mark.parametrize(

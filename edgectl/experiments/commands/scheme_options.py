@@ -2,6 +2,7 @@
 """The options of replay and simulate that select the schemes to compare."""
 
 import math
+from dataclasses import replace
 from typing import Annotated
 
 from typer import Option
@@ -12,6 +13,7 @@ from edgectl.experiments.model.schemes import Scheme, build_schemes
 from edgectl.model.policy import Policy, PolicyName, Weights
 from edgectl.units import QuantityError, parse_share
 
+ORACLE = "oracle"
 PoliciesOption = Annotated[
     str,
     Option(
@@ -78,6 +80,19 @@ def parse_schemes(
     except QuantityError as error:
         raise UsageError(f"--weights: {error.message}", hint=error.hint) from None
     return build_schemes(base, [PolicyName(name) for name in names], weight_sets, margins)
+
+
+def parse_simulated_schemes(base: Policy, policies: str, weights: str | None) -> tuple[Scheme, ...]:
+    """As `parse_schemes`, and ``oracle``, which exists in simulations only and comes last.
+
+    Raises:
+        UsageError: as `parse_schemes`.
+    """
+    names = [name.strip() for name in policies.split(",")]
+    others = ",".join(name for name in names if name != ORACLE)
+    found = parse_schemes(base, others, weights, []) if others else ()
+    oracle = Scheme(name=ORACLE, policy=replace(base, name=PolicyName.UTILITY), oracle=True)
+    return (*found, oracle) if ORACLE in names else found
 
 
 def parse_weight_sets(text: str) -> dict[str, Weights]:

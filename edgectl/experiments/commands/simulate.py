@@ -43,7 +43,7 @@ def simulate_run_command(
         edgectl simulate docs/scenarios/paper-2.yaml --against docs/examples/run
     """
     from edgectl.cli.extras import require_extra
-    from edgectl.experiments.commands.scheme_options import parse_equivalence, parse_schemes
+    from edgectl.experiments.commands.scheme_options import parse_equivalence, parse_simulated_schemes
     from edgectl.experiments.files.run_directory import load_run
     from edgectl.experiments.files.scenario_file import load_scenario, load_scenario_paths
     from edgectl.experiments.reference_values import reference_from_run, reference_from_scenario
@@ -58,7 +58,7 @@ def simulate_run_command(
     named_inventory, named_tasks = load_scenario_paths(scenario)
     loaded = load_named_inputs(inventory, tasks, named_inventory, named_tasks)
     mission = load_scenario(scenario, loaded.inventory, loaded.tasks)
-    schemes = parse_schemes(loaded.tasks.policy, policies, weights, [])
+    schemes = parse_simulated_schemes(loaded.tasks.policy, policies, weights)
     results = list(simulate_schemes(loaded.inventory, loaded.tasks, mission, schemes, runs=runs, seed=seed))
     reference = reference_from_scenario(mission) if run is None else reference_from_run(results, run)
     compared = compare_schemes(results, bound)

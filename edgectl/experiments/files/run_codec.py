@@ -19,8 +19,8 @@ TRIAL_KIND = DocumentKind(name="trial", version=1, model=Trial, writer=_WRITER)
 def digest_experiment(experiment: Experiment, inventory: Inventory, tasks: Tasks) -> str:
     """SHA-256 of everything that affects a trial: fleet, tasks and the conditions of a trial.
 
-    Name, schemes, repetitions, metrics, their use for recovery and equivalence are left out: a run can be
-    resumed after they change.
+    Name, schemes, repetitions, and what only evaluates (metrics, recovery, equivalence) are left out: a run
+    can be resumed after they change.
     """
     conditions = replace(
         experiment, name="", schemes=(), repetitions=1, metrics={}, recovery=None, equivalence=None

@@ -21,6 +21,7 @@ from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.scalars import (
     NodeReader,
     enum_reader,
+    integer_reader,
     quantity_reader,
     read_bool,
     read_name,
@@ -101,6 +102,8 @@ SCENARIO_KEYS: Mapping[str, NodeReader] = {
         "a scheme",
         mapping_reader(_PUBLISHED_NAME_PATTERN, "a metric", list_reader(_read_number)),
     ),
+    "published_std": mapping_reader(_PUBLISHED_NAME_PATTERN, "a scheme", _read_number),
+    "published_runs": integer_reader(1, 1000),
 }
 
 
@@ -171,6 +174,8 @@ def _build_scenario(fields: Fields, inventory: Inventory, tasks: Tasks, problems
         placed=values.get("placed", {}),
         rate=values.get("rate", {}),
         published=values.get("published", {}),
+        published_std=values.get("published_std", {}),
+        published_runs=values.get("published_runs", 1),
         links=tuple(_check_links(values.get("links", ()), inventory, jobs, problems)),
         live_links=values.get("live_links", True),
         radio=values.get("radio", Radio.SEPARATE),

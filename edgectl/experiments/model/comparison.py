@@ -6,6 +6,9 @@ from dataclasses import dataclass, field
 
 from edgectl.experiments.model.schemes import Scheme
 
+# Times of missions are in seconds where all means are below this, else in minutes.
+SHORT_MISSION_S = 120.0
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Utilisation:
@@ -119,9 +122,9 @@ class SchemeResult:
     downtime and gap (s, means over handoffs), cpu_s (CPU seconds of all hosts), air (MB over the interfaces
     of a robot, mean over robots) and unplaced (tasks without a host, per run). ``metrics``: of the
     application. ``maps``: SSIM, -1..1. ``unfinished``: runs ended by the time limit. ``unplaced``: summed
-    over all plans. ``values``: by metric, the value of each run by its number (the repetition of a trial);
-    the mean over the hosts where it has several. ``events``: in the order in which they first happened;
-    ``recoveries``: by kind of event.
+    over all plans. ``events``: in the order in which they first happened; ``recoveries``: by kind of event.
+    ``values``: by metric, the value of each run by its number (the repetition of a trial); the mean over the
+    hosts where it has several.
     """
 
     scheme: Scheme

@@ -71,8 +71,8 @@ class Experiment:
     A trial ends when all tasks in ``until`` have completed, or after ``limit`` s. ``every``: period of
     sampling and planning in s. ``idle``: highest CPU utilisation of a host before a trial, 0..1. ``metrics``:
     of the application, in the order of the table. ``maps``: by column of the table, maps scored by SSIM.
-        ``equivalence``: schemes whose missions differ by less than this share count as equal.
     ``events``: what changes during a trial. ``recovery``: None: a task does well where it runs.
+    ``equivalence``: schemes whose missions differ by less than this share count as equal.
     """
 
     name: str

@@ -72,7 +72,8 @@ class Scenario:
 
     ``hosts``: by name in the inventory. ``placed``: task -> host of tasks that edgectl does not manage.
     ``rate``: by task, frames/s at full speed. ``published``: by scheme and metric, values reported for the
-    real experiment, one per edge or a single one. ``links``: changes of what links carry; the inventory has
+    real experiment, one per edge or a single one. ``published_std``: by scheme, of its latency
+    in min over ``published_runs`` trials. ``links``: changes of what links carry; the inventory has
     their nominal capacity. ``live_links``: the scheduler sees them, as by the probes of ``watch``.
     ``events``: what else changes during the mission. ``radio``: whether links share air time.
     """
@@ -85,6 +86,8 @@ class Scenario:
     placed: Mapping[str, str] = field(default_factory=dict)
     rate: Mapping[str, float] = field(default_factory=dict)
     published: Mapping[str, Mapping[str, tuple[float, ...]]] = field(default_factory=dict)
+    published_std: Mapping[str, float] = field(default_factory=dict)
+    published_runs: int = 1
     links: tuple[SimLink, ...] = ()
     live_links: bool = True
     events: tuple[MissionEvent, ...] = ()

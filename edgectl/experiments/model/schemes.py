@@ -14,10 +14,14 @@ _POLICIES_WITH_WEIGHTS = (PolicyName.UTILITY, PolicyName.PAPER)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scheme:
-    """A policy with its weights, under a unique name."""
+    """A policy with its weights, under a unique name.
+
+    ``oracle``: in simulations only, hosts are chosen by true speeds and links instead.
+    """
 
     name: str
     policy: Policy = field(metadata=in_document(inline=True))
+    oracle: bool = False
 
 
 def build_schemes(

@@ -4,8 +4,8 @@
 from collections.abc import Sequence
 from statistics import fmean
 
+from edgectl.experiments.model.comparison import SHORT_MISSION_S
 from edgectl.experiments.model.experiment import ExperimentRun, Trial
-from edgectl.experiments.views.scheme_table import SHORT_MISSION_S
 
 
 def list_tried_schemes(run: ExperimentRun) -> list[str]:

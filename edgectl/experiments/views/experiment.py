@@ -154,6 +154,14 @@ def _build_experiment_columns(
     ]
 
 
+def list_compared_columns(
+    experiment: Experiment, results: Sequence[SchemeResult], *, every: bool
+) -> list[MetricColumn]:
+    """The columns of which schemes are compared: the time of the mission, or with ``every`` all."""
+    columns = _build_experiment_columns(experiment, results, every=every)
+    return [column for column in columns if every or column.name == MISSION_TIME]
+
+
 def _build_counter_columns(results: Sequence[SchemeResult]) -> list[MetricColumn]:
     """The columns of figures that earlier releases did not record, where a scheme has them."""
     columns = (
@@ -162,14 +170,6 @@ def _build_counter_columns(results: Sequence[SchemeResult]) -> list[MetricColumn
         build_metric_column("air", "AIR MB", 1),
     )
     return [column for column in columns if any(any(column.estimates(result)) for result in results)]
-
-
-def list_compared_columns(
-    experiment: Experiment, results: Sequence[SchemeResult], *, every: bool
-) -> list[MetricColumn]:
-    """The columns of which schemes are compared: the time of the mission, or with ``every`` all."""
-    columns = _build_experiment_columns(experiment, results, every=every)
-    return [column for column in columns if every or column.name == MISSION_TIME]
 
 
 def describe_experiment(

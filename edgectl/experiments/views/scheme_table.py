@@ -5,13 +5,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from math import floor, log10
 from typing import NamedTuple
 
-from edgectl.experiments.model.comparison import Estimate, SchemeResult
+from edgectl.experiments.model.comparison import SHORT_MISSION_S, Estimate, SchemeResult
 from edgectl.formats.document import Document, encode_number
 from edgectl.views.text import Cell, RenderOptions, Row, measure_column_widths, render_columns
 
 _COLUMN_GAP = "  "
-# Times of missions are in seconds where all means are below this, else in minutes.
-SHORT_MISSION_S = 120.0
 _SMALL_PERCENT = 10.0
 
 
