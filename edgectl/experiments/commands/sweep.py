@@ -69,7 +69,7 @@ def simulate_sweep_command(
 
     Examples:
         edgectl simulate sweep docs/scenarios/sweep-robots.yaml
-        edgectl simulate sweep docs/scenarios/sweep-robots.yaml --shard 1/2 --out part
+        edgectl simulate sweep docs/scenarios/sweep-robots.yaml --shard 1/2 --out p
     """
     from edgectl.experiments.files.sweep_file import load_sweep
     from edgectl.experiments.files.sweep_results import (
