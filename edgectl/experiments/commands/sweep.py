@@ -49,11 +49,10 @@ def simulate_sweep_command(
         int | None,
         Option(
             "--workers",
-            "-w",
             metavar="N",
             min=1,
             max=1000,
-            help="Processes; default: all cores. With --on slurm: jobs.",
+            help="Processes; default: cores. On slurm: jobs.",
             show_default=False,
         ),
     ] = None,
