@@ -74,7 +74,9 @@ def test_shards_make_the_same_bytes_as_one_run(run: Run, spec: Path, tmp_path: P
     said = run("simulate", "sweep", str(spec), "--out", str(whole), "--workers", "1", "-o", "json")
     assert (said.code, said.err) == (0, "")
     for number, part in zip((2, 1), parts, strict=True):
-        shard = run("simulate", "sweep", str(spec), "--out", str(part), "--shard", f"{number}/2", "-w", "2")
+        shard = run(
+            "simulate", "sweep", str(spec), "--out", str(part), "--shard", f"{number}/2", "--workers", "2"
+        )
         assert (shard.code, shard.out) == (0, "")
         assert "worlds simulated: 2, known: 0" in shard.err
     merged = run("simulate", "merge", str(spec), *map(str, parts), "-o", "json")
@@ -101,7 +103,7 @@ def _check_that_nothing_is_computed_again(run: Run, spec: Path, whole: Path) -> 
     lacking = run("simulate", "merge", str(spec), str(whole))
     assert lacking.code == 1
     assert "of 4 worlds have no result" in lacking.err
-    assert run("simulate", "sweep", str(spec), "--out", str(whole), "-w", "1").code == 0
+    assert run("simulate", "sweep", str(spec), "--out", str(whole), "--workers", "1").code == 0
     assert missing.read_bytes() == text
     assert [path.stat().st_mtime_ns for path in files[2:]] == before[2:]
 
@@ -162,7 +164,18 @@ def wait_until(holds: Callable[[], bool], seconds: float = 60.0) -> bool:
 
 def test_ctrl_c_ends_all_processes_and_keeps_what_is_finished(tmp_path: Path) -> None:
     spec, out = write_spec(tmp_path / "long.yaml", runs=60), tmp_path / "out"
-    command = [sys.executable, "-m", "edgectl", "simulate", "sweep", str(spec), "--out", str(out), "-w", "2"]
+    command = [
+        sys.executable,
+        "-m",
+        "edgectl",
+        "simulate",
+        "sweep",
+        str(spec),
+        "--out",
+        str(out),
+        "--workers",
+        "2",
+    ]
     program = subprocess.Popen(
         command, stderr=subprocess.PIPE, text=True, start_new_session=True, cwd=tmp_path
     )

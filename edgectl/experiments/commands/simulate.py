@@ -37,10 +37,10 @@ def simulate_run_command(
     --against those of an experiment, and the deviation of the model. Requires the extra evidence.
 
     Examples:
-        edgectl simulate docs/scenarios/paper-2.yaml --runs 2
-        edgectl simulate docs/scenarios/paper-1.yaml --policy local,static --seed 7
-        edgectl simulate docs/scenarios/paper-2.yaml --weights all -n 1 -o json
-        edgectl simulate docs/scenarios/paper-2.yaml --against docs/examples/run
+        edgectl simulate run docs/scenarios/paper-2.yaml --runs 2
+        edgectl simulate run docs/scenarios/paper-1.yaml --policy static --seed 7
+        edgectl simulate run docs/scenarios/paper-2.yaml --weights all -n 1 -o json
+        edgectl simulate run docs/scenarios/paper-2.yaml --against docs/examples/run
     """
     from edgectl.cli.extras import require_extra
     from edgectl.experiments.commands.scheme_options import parse_equivalence, parse_simulated_schemes

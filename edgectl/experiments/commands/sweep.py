@@ -50,11 +50,10 @@ def simulate_sweep_command(
         int | None,
         Option(
             "--workers",
-            "-w",
             metavar="N",
             min=1,
             max=1000,
-            help="Processes; default: all cores. With --on slurm: jobs.",
+            help="Processes; default: cores. On slurm: jobs.",
             show_default=False,
         ),
     ] = None,
@@ -69,9 +68,8 @@ def simulate_sweep_command(
     interrupted sweep resumes when the command is repeated. Requires the extra evidence.
 
     Examples:
-        edgectl simulate sweep docs/scenarios/sweep-links.yaml
-        edgectl simulate sweep docs/scenarios/sweep-links.yaml --shard 1/2 --out part
-        edgectl simulate sweep docs/scenarios/sweep-links.yaml --on ray
+        edgectl simulate sweep docs/scenarios/sweep-robots.yaml
+        edgectl simulate sweep docs/scenarios/sweep-robots.yaml --shard 1/2 --out p
     """
     from edgectl.experiments.files.sweep_file import load_sweep
     from edgectl.experiments.files.sweep_results import (
@@ -122,8 +120,8 @@ def simulate_merge_command(
     """Merge the results of the shards of a sweep; the same bytes, however many machines made them.
 
     Examples:
-        edgectl simulate merge docs/scenarios/sweep-links.yaml part-1 part-2
-        edgectl simulate merge docs/scenarios/sweep-links.yaml part -o csv
+        edgectl simulate merge docs/scenarios/sweep-robots.yaml part-1 part-2
+        edgectl simulate merge docs/scenarios/sweep-robots.yaml part-1 part-2 -o csv
     """
     from edgectl.experiments.files.sweep_file import load_sweep
 
