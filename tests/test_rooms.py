@@ -358,7 +358,8 @@ def get_dotted_name(node: ast.expr) -> str:
 def test_no_dangerous_calls() -> None:
     """No eval, exec, pickle, yaml.load, shell=True or os.system, and no way to switch host key checks off.
 
-    The agent runs code that it compiled before, where the seal of the manager is on it (ADR 57).
+    The agent runs code that it compiled before, where the seal of the manager is on it (ADR 57); dataclasses are
+    made of the names of their own fields (ADR 99).
     """
     loaders = {ROOT / "agent" / "link" / name for name in ("stub.py", "boot.py", "cache.py")}
     for path in ROOT.rglob("*.py"):
@@ -373,7 +374,7 @@ def test_no_dangerous_calls() -> None:
                 called = get_dotted_name(node.func)
                 assert called not in {
                     "eval",
-                    *(() if path in loaders else ("exec",)),
+                    *(() if path in {*loaders, ROOT / "dataclass.py"} else ("exec",)),
                     "yaml.load",
                     "os.system",
                     "os.popen",
