@@ -2,11 +2,11 @@
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from itertools import pairwise
-from math import sqrt
 from statistics import fmean, stdev
 
 from edgectl.experiments.model.comparison import Estimate, SchemeResult
 from edgectl.experiments.model.experiment import (
+    Experiment,
     ExperimentRun,
     HostCapacity,
     LoadSample,
@@ -16,20 +16,12 @@ from edgectl.experiments.model.experiment import (
 )
 from edgectl.experiments.model.scenario import SimHostUsage, SimRun
 from edgectl.experiments.model.schemes import Scheme
+from edgectl.experiments.paired_tests import estimate_mean_interval
 from edgectl.model.inventory import Inventory, Role
 from edgectl.model.policy import PolicyName
 
 # Values of one run by metric: one for each host, or a single one; None: no value.
 MetricValues = Mapping[str, tuple[float | None, ...]]
-# Student's t for two-sided 95 % by degrees of freedom, 1 to 30; beyond, the normal distribution is close
-# enough.
-# fmt: off
-_STUDENT_T_95 = (
-    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131,
-    2.120, 2.110, 2.101, 2.093, 2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042,
-)
-# fmt: on
-_NORMAL_95 = 1.960
 # Larger values count as none: applications may write anything, and their sums would overflow.
 MAX_METRIC_VALUE = 1e100
 _SIM_HOST_METRICS: dict[str, Callable[[SimHostUsage], float | None]] = {
@@ -54,11 +46,9 @@ def compute_estimate(values: Sequence[float]) -> Estimate:
     """Mean, sample standard deviation and 95 % confidence interval of independent values, at least one."""
     if len(values) == 1:
         return Estimate(mean=values[0])
-    spread = stdev(values)
-    t = _STUDENT_T_95[len(values) - 2] if len(values) - 2 < len(_STUDENT_T_95) else _NORMAL_95
-    return Estimate(
-        mean=fmean(values), std=spread, half_ci95=t * spread / sqrt(len(values)), count=len(values)
-    )
+    interval = estimate_mean_interval(values)
+    half = 0.0 if interval.high is None else interval.high - interval.mean
+    return Estimate(mean=interval.mean, std=stdev(values), half_ci95=half, count=len(values))
 
 
 def select_usable_values(values: Iterable[float | None]) -> list[float]:
@@ -82,14 +72,29 @@ def summarize_sim_runs(inventory: Inventory, scheme: Scheme, runs: Sequence[SimR
     """The result of a simulated scheme: per edge, or under local execution the mean over the robots."""
     local = scheme.policy.name is PolicyName.LOCAL
     hosts = [host.name for host in (inventory.robots if local else inventory.edges)]
+    values = [_collect_sim_run_values(run, hosts, together=local) for run in runs]
     return SchemeResult(
         scheme=scheme,
         runs=len(runs),
         unfinished=sum(not run.finished for run in runs),
         unplaced=sum(run.unplaced for run in runs),
-        estimates=estimate_metrics([_collect_sim_run_values(run, hosts, together=local) for run in runs]),
+        estimates=estimate_metrics(values),
         hosts=() if local else tuple(hosts),
+        values=_list_values_by_run(dict(enumerate(values, 1))),
     )
+
+
+def _list_values_by_run(runs: Mapping[int, MetricValues]) -> dict[str, dict[int, float]]:
+    """By metric, the usable mean over the hosts of each run that has one."""
+    metrics = dict.fromkeys(metric for values in runs.values() for metric in values)
+    return {
+        metric: {
+            number: mean
+            for number, values in runs.items()
+            if (mean := compute_usable_mean(values.get(metric, ()))) is not None
+        }
+        for metric in metrics
+    }
 
 
 def _collect_sim_run_values(run: SimRun, hosts: Sequence[str], *, together: bool) -> MetricValues:
@@ -132,9 +137,9 @@ def _summarize_scheme(run: ExperimentRun, scheme: Scheme) -> SchemeResult:
     local = scheme.policy.name is PolicyName.LOCAL
     hosts = {name: machine for name, machine in run.machines.items() if (machine.role is Role.ROBOT) is local}
     robots = [name for name, machine in run.machines.items() if machine.role is Role.ROBOT]
-    estimates = estimate_metrics(
-        [_collect_trial_values(trial, hosts, robots, together=local) for trial in trials]
-    )
+    values = [_collect_trial_values(trial, hosts, robots, together=local) for trial in trials]
+    estimates = estimate_metrics(values)
+    readings = [_collect_application_values(run.experiment, trial) for trial in trials]
     return SchemeResult(
         scheme=scheme,
         runs=len(trials),
@@ -147,16 +152,30 @@ def _summarize_scheme(run: ExperimentRun, scheme: Scheme) -> SchemeResult:
         },
         hosts=() if local else tuple(hosts),
         metrics={
-            name: estimate_usable_values(
-                _aggregate_readings(trial.readings.get(name, {}), aggregation) for trial in trials
-            )
-            for name, aggregation in run.experiment.metrics.items()
+            name: estimate_usable_values(each[name][0] for each in readings)
+            for name in run.experiment.metrics
         },
         maps={
             name: estimate_usable_values(trial.ssim.get(name) for trial in trials)
             for name in run.experiment.maps
         },
+        # A metric that edgectl measures itself precedes one of the application with the same name.
+        values=_list_values_by_run(
+            {
+                trial.repetition: {**own, **each, **own}
+                for trial, each, own in zip(trials, readings, values, strict=True)
+            }
+        ),
     )
+
+
+def _collect_application_values(experiment: Experiment, trial: Trial) -> MetricValues:
+    """The metrics of the application and the SSIM of its maps, one value each."""
+    maps = {name: (trial.ssim.get(name),) for name in experiment.maps}
+    return maps | {
+        name: (_aggregate_readings(trial.readings.get(name, {}), aggregation),)
+        for name, aggregation in experiment.metrics.items()
+    }
 
 
 def _collect_trial_values(

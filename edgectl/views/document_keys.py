@@ -36,6 +36,7 @@ _ACTION = (
 )  # fmt: skip
 _RESULT = ("revision", "duration_s", "done", "interrupted", "actions", "standbys")
 _REVISION = ("revision", "started_at", "user", "verb", "outcome", "duration_s", "counts")
+_INTERVAL = ("mean", "low", "high")
 _ESTIMATE = ("mean", "std", "half_ci95", "run_count")
 
 _OTHER_TASK = (
@@ -79,7 +80,7 @@ ITEM_KEYS: KeysByName = {
     ),
     "drain": ("done", "left", "passes"),
     "edge": _HOST_DETAILS,
-    "experiment": ("experiment", "digest", "planned", "trials", "schemes"),
+    "experiment": ("experiment", "digest", "planned", "trials", "answer", "comparisons", "schemes"),
     "explanation": (
         "task", "action", "reason", "host", "previous_host", "runner_up", "total", "lead", "slack", "noise",
         "fragile", "pinned_to", "equal_hosts", "tie_rule", "contributions", "flips",
@@ -89,7 +90,7 @@ ITEM_KEYS: KeysByName = {
     "result": _RESULT,
     "revision": (*_REVISION, "actions", "placements"),
     "robot": _HOST_DETAILS,
-    "simulation": ("scenario", "reference", "assumptions", "notes", "schemes"),
+    "simulation": ("scenario", "reference", "assumptions", "notes", "answer", "comparisons", "schemes"),
     "task": (
         "task", "taken_at", "spec", "runs", "standbys", "placement", "downtimes_s", "decision", "events",
     ),
@@ -156,6 +157,12 @@ INNER_KEYS: KeysByName = {
         "scheme", "run_count", "unfinished", "unplaced", "host_names", "figures", "metrics", "maps",
         "reference_figures", "off_by",
     ),
+    "comparisons": (
+        "metric", "scheme", "base", "pair_count", "missing_pair_count", "difference", "ratio", "p", "p_holm",
+        "effect", "bound", "equal_p", "equal_p_holm",
+    ),
+    "difference": _INTERVAL,
+    "ratio": _INTERVAL,
     "spec": (
         "template", "task_kind", "managed", "command", "node_names", "robot_names", "needs", "priority",
         "deadline_s", "hard_deadline", "labels", "restart", "handoff", "on_unreachable", "env",

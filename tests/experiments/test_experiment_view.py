@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import yaml
 
-from edgectl.experiments.model.comparison import Estimate, SchemeResult
+from edgectl.experiments.model.comparison import Estimate, Interval, SchemeComparison, SchemeResult
 from edgectl.experiments.model.experiment import Experiment, ExperimentRun, MapPair, MetricAggregation
 from edgectl.experiments.model.schemes import Scheme
 from edgectl.experiments.scheme_results import summarize_trials
@@ -53,14 +53,23 @@ DONE = [
     column("static", 0.5, 80.2, None, 61.0),
     column("utility network", 0.4, 55.0, 52.0, 49.9),
 ]
+COMPARED = [
+    SchemeComparison(
+        metric="latency", scheme="utility network", base="static", pairs=3, missing=1, difference=Interval(mean=-0.1, low=-0.2, high=-0.0001),
+        ratio=Interval(mean=0.8, low=0.7, high=0.9), p=0.01, p_holm=0.02, effect=-1.24, bound=0.05, equal_p=0.8, equal_p_holm=1.0,
+    ),
+    SchemeComparison(
+        metric="fps", scheme="utility network", base="static", pairs=3, missing=0, difference=Interval(mean=1.0), bound=0.05,
+    ),
+]  # fmt: skip
 TEXT = """\
 SCHEME           LATENCY s     CPU %  MEMORY %  HANDOFFS   FPS    LOSS   SSIM
-local             45.0±3.0        99        99       1.5  9.50  0.0123  0.812
-static            30.0±3.0   80/-/61   80/-/61       1.5  9.50  0.0123  0.812
-utility network   24.0±3.0  55/52/50  55/52/50       1.5  9.50  0.0123  0.812
+local             45.0±7.5        99        99       1.5  9.50  0.0123  0.812
+static            30.0±7.5   80/-/61   80/-/61       1.5  9.50  0.0123  0.812
+utility network   24.0±7.5  55/52/50  55/52/50       1.5  9.50  0.0123  0.812
 
-9 of 9 trials of mission; mean±deviation of the latency, means of the rest, by
-  edge (edge1/edge2/edge3; local: mean of the robots).
+9 of 9 trials of mission; mean±half of the 95 % interval of the latency, means
+  of the rest, by edge (edge1/edge2/edge3; local: mean of the robots).
 local: trials ended by the time limit: 1
 static: unplaced tasks, summed over all plans: 2
 Latency as a share of local execution: static 0.67, utility network 0.53.
@@ -72,13 +81,32 @@ def test_the_table_fits_80_columns() -> None:
     assert ExperimentView(run=RUN, results=DONE).table(RenderOptions(width=80)) == TEXT
 
 
+def test_the_comparison_stands_below_the_table_and_the_answer_first_of_the_notes() -> None:
+    view = ExperimentView(run=RUN, results=DONE, comparisons=COMPARED)
+    parts = view.table(RenderOptions(width=80)).split("\n\n")
+    assert parts[1:3] == [
+        (
+            "SCHEME           AGAINST       DIFFERENCE s              RATIO     P  EFFECT\n"
+            "utility network   static  -6.0 [-12.0, 0.0]  0.80 [0.70, 0.90]  0.02    -1.2"
+        ),
+        "SCHEME           EQUAL P\nutility network     1.00",
+    ]
+    assert parts[3].startswith(
+        "utility network finished the mission 20 % sooner than static (95 % interval 10\n"
+        "  to 30 %, n = 3 pairs, p = 0.02 after Holm). Left out: 1 repetition with a\n"
+    )
+    assert "EQUAL P: two one-sided tests that the ratio is within 5 %, after Holm.\n" in parts[3]
+    compared = [line.split() for line in view.wide(PLAIN).splitlines() if "FPS" in line.split()[3:4]]
+    assert compared == [["utility", "network", "static", "FPS", "1.00", "-", "-", "-", "-"]]
+
+
 def test_trials_are_counted_where_some_are_missing() -> None:
     text = ExperimentView(
         run=RUN, results=[*DONE[:2], column("utility all", 0.4, 55.0, 52.0, 50.0, runs=1)]
     ).table(PLAIN)
     lines = text.splitlines()
     assert lines[0].split()[:3] == ["SCHEME", "TRIALS", "LATENCY"]
-    assert lines[3].split()[:4] == ["utility", "all", "1/3", "24.0"], "one trial has no deviation"
+    assert lines[3].split()[:4] == ["utility", "all", "1/3", "24.0"], "one trial has no interval"
     assert "7 of 9 trials of mission" in text
 
 
@@ -109,13 +137,13 @@ def test_what_does_not_fit_stands_below(output: OutputFormat, width: int) -> Non
     ].split()[1:]
 
 
-def test_wide_has_every_metric_with_its_deviation() -> None:
+def test_wide_has_every_metric_with_its_interval() -> None:
     text = ExperimentView(run=RUN, results=DONE).wide(PLAIN)
     head = "SCHEME TRIALS LATENCY s CPU % PEAK % MEMORY % MB/s HANDOFFS DOWNTIME s UNPLACED FPS LOSS SSIM"
     lines = text.splitlines()
     assert lines[0].split() == head.split()
-    assert lines[3].split()[-6:] == ["1.5±0.5", "-", "0.0±0.0", "9.50±0.25", "0.0123±0.0010", "0.812±0.030"]
-    assert "; mean±deviation, by edge" in text
+    assert lines[3].split()[-6:] == ["1.5±1.2", "-", "0.0", "9.50±0.62", "0.0123±0.0025", "0.812±0.075"]
+    assert "; mean±half of the 95 % interval, by edge" in text
 
 
 def test_latencies_of_minutes_are_minutes_as_in_the_paper() -> None:
@@ -123,7 +151,7 @@ def test_latencies_of_minutes_are_minutes_as_in_the_paper() -> None:
         run=RUN, results=[column("local", 14.4, 99.0), column("static", 0.5, 1.0, 1.0, 1.0)]
     ).table(PLAIN)
     assert "LATENCY min" in text.splitlines()[0]
-    assert text.splitlines()[1].split()[1] == "14.40±0.05"
+    assert text.splitlines()[1].split()[1] == "14.40±0.12"
 
 
 def test_markdown_is_one_table_and_a_list() -> None:
@@ -132,7 +160,7 @@ def test_markdown_is_one_table_and_a_list() -> None:
     assert len(table) == 2 + len(DONE)
     assert {line.count("|") for line in table} == {14}
     assert table[1].startswith("| --- | ---: |")
-    assert table[4].startswith("| utility network | 3/3 | 24.0±3.0 |")
+    assert table[4].startswith("| utility network | 3/3 | 24.0±7.5 |")
     assert "- Latency as a share of static execution: utility network 0.80." in lines
 
 

@@ -86,6 +86,8 @@ def a_page(run: ExperimentRun, *, drawn: bool = True) -> str:
     table = ReportTable(
         rows=[["SCHEME", "LATENCY s"], *([variant.name, "1±2/3±4"] for variant in run.experiment.schemes)],
         notes=["A note."],
+        answer="utility <all> finished sooner.",
+        compared=[["SCHEME", "AGAINST", "RATIO"], ["utility all", "static", "0.84 [0.73, 0.96]"]],
     )
     return render_report_page(
         run,
@@ -274,6 +276,14 @@ def test_every_name_stands_in_the_page() -> None:
     assert "A note." in words
 
 
+def test_the_page_opens_with_the_answer() -> None:
+    text = a_page(a_run(SCHEMES[1:3], 1), drawn=False)
+    assert '</h1>\n<p class="answer">utility &lt;all&gt; finished sooner.</p>\n' in text
+    words = Outline(text).words
+    assert words.index("sooner.") < words.index("Table")
+    assert words.index("AGAINST") < words.index("0.84 [0.73, 0.96]") < words.index("Figures")
+
+
 def test_drawings_are_whole_and_never_vary() -> None:
     from edgectl.experiments.report.figure_style import render_pdf, render_svg
 
@@ -431,6 +441,30 @@ def test_each_scheme_keeps_its_colour() -> None:
     assert [get_scheme_colour(run, variant.name) for variant in SCHEMES] == list(
         SCHEME_COLOURS[: len(SCHEMES)]
     )
+
+
+def test_a_colour_means_one_thing() -> None:
+    """Full colours are schemes, light ones hosts; a dozen schemes have a colour each."""
+    from edgectl.experiments.report.figure_style import FAINT, GRID, INK, SCHEME_COLOURS
+    from edgectl.experiments.report.gantt_chart import _HOST_COLOURS
+
+    used = [*SCHEME_COLOURS, *_HOST_COLOURS, INK, FAINT, GRID]
+    assert len(SCHEME_COLOURS) == 12
+    assert len(set(used)) == len(used)
+    assert max(map(luminance, SCHEME_COLOURS)) < min(map(luminance, _HOST_COLOURS))
+
+
+@pytest.mark.parametrize("latency", [60.0, 180.0])
+def test_times_of_missions_have_one_unit(latency: float) -> None:
+    run = a_run(SCHEMES[1:3], 2)
+    run = replace(run, trials=tuple(replace(each, latency=latency) for each in run.trials))
+    words = Outline(a_page(run)).words
+    units = {
+        unit
+        for unit in ("s", "min")
+        if f"({unit})" in re.sub(r"[Dd]owntime[^(]*\(s\)|greatest \(s\)", "", words)
+    }
+    assert units == ({"s"} if latency < 120 else {"min"})
 
 
 @pytest.mark.parametrize("ground", [1.0, 0.0], ids=["white", "black"])

@@ -34,6 +34,20 @@ def test_the_newest_run_is_reported_beside_its_files(run: Run) -> None:
     assert (directory / "report.html").read_text() == text
 
 
+def test_the_answer_and_its_bound_open_the_page(run: Run) -> None:
+    kept(Path("runs/mission"), without_series(a_run(SCHEMES[1:3], 3)))
+    assert run("report").code == 0
+    assert (
+        '<p class="answer">utility cpu finished the mission' in Path("runs/mission/report.html").read_text()
+    )
+    assert run("report", "--equivalence", "90%").code == 0
+    text = Path("runs/mission/report.html").read_text()
+    assert "within 90 %" in text
+    assert "EQUAL P" in text
+    said = run("report", "--equivalence", "0%")
+    assert (said.code, "--equivalence: must be above 0%" in said.err) == (64, True)
+
+
 def test_figures_are_files_of_their_own(run: Run) -> None:
     directory = kept(Path("elsewhere"), without_series(a_run(SCHEMES[2:3], 1)))
     said = run("report", "elsewhere", "--out", "page.html", "--figures", "paper/figures")

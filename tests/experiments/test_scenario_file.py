@@ -95,7 +95,7 @@ def test_shipped_scenarios_are_good(name: str) -> None:
     inventory, tasks, _ = load_inventory_and_tasks(inventory_file, tasks_file)
     found = load_scenario(path, inventory, tasks)
     assert (found.name, len(found.jobs), len(found.published)) == (name, 10, 6)
-    assert len(found.assumptions) >= 8
+    assert len(found.assumptions) >= 7
 
 
 def test_no_command_is_named_that_would_make_a_scenario(tmp_path: Path) -> None:

@@ -110,10 +110,10 @@ def test_trials_are_summed_up() -> None:
     found = column(run(*trials))
     assert (found.runs, found.unfinished, found.unplaced) == (3, 1, 3)
     assert found.estimates["latency"] == (
-        Estimate(mean=2.0, std=1.0, half_ci95=close_to(2.4843, abs=1e-4), count=3),
+        Estimate(mean=2.0, std=1.0, half_ci95=close_to(2.48414, abs=1e-5), count=3),
     )
     assert found.estimates["handoffs"][0] == Estimate(
-        mean=1.0, std=1.0, half_ci95=close_to(2.4843, abs=1e-4), count=3
+        mean=1.0, std=1.0, half_ci95=close_to(2.48414, abs=1e-5), count=3
     )
     assert means(found.estimates["unplaced"]) == [1.0]
     assert found.estimates["downtime"] == (Estimate(mean=2.0),)

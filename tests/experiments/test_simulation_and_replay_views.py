@@ -45,10 +45,10 @@ FOUND = [simulated("local", 4.001, 90.0), simulated("utility all", 3.0, 60.0, 40
 VIEW = SimulationView(scenario=SCENARIO, results=FOUND, reference=REAL)
 TEXT = """\
 SCHEME       LATENCY min   CPU %  MEMORY %  FRAMES/s  HANDOFFS
-local          4.00±0.50      90       1.0       1.0       0.2
+local          4.00±0.10      90       1.0       1.0       0.2
   published         4.00      99         -         -         -
   off by             +0%     -9%         -         -         -
-utility all    3.00±0.50   60/40   1.0/1.0   1.0/1.0       0.2
+utility all    3.00±0.10   60/40   1.0/1.0   1.0/1.0       0.2
   published         2.00    50/0         -         -         -
   off by            +50%  +20%/-         -         -         -
 """

@@ -82,7 +82,11 @@ def list_views() -> Iterator[View]:
     yield ProfileView([test_demands.a_profile()])
     yield CycleView(test_live.cycle(results=test_live.results(test_live.MOVED), events=(test_live.EVENT,)))
     yield from (CycleView(test_live.cycle()), CycleView(Cycle(number=3, at=NOW, error="no", busy="held")))
-    yield ExperimentView(run=test_experiment_view.RUN, results=test_experiment_view.DONE)
+    yield ExperimentView(
+        run=test_experiment_view.RUN,
+        results=test_experiment_view.DONE,
+        comparisons=test_experiment_view.COMPARED,
+    )
     yield test_simulation_and_replay_views.VIEW
     yield ReplayView(results=[test_simulation_and_replay_views.REPLAYED])
     yield MapScoreView(0.5)

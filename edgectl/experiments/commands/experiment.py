@@ -10,6 +10,7 @@ from typer import Argument, Exit, Option
 from edgectl.cli import console, options
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import ExitCode, UsageError
+from edgectl.experiments.commands.scheme_options import EquivalenceOption, parse_equivalence
 from edgectl.views.output_format import EXPERIMENT_FORMATS, OutputFormat
 
 if TYPE_CHECKING:
@@ -105,6 +106,7 @@ def experiment_show_command(
         ),
     ] = None,
     output: ExperimentOutput = OutputFormat.TABLE,
+    equivalence: EquivalenceOption = None,
 ) -> None:
     """Compare the results of an experiment so far. No host is contacted.
 
@@ -114,7 +116,8 @@ def experiment_show_command(
     """
     from edgectl.experiments.files.run_directory import load_run
 
-    _print_experiment(output, load_run(resolve_run_directory(run)))
+    bound = parse_equivalence(equivalence)
+    _print_experiment(output, load_run(resolve_run_directory(run)), bound)
 
 
 def resolve_run_directory(given: Path | None) -> Path:
@@ -134,8 +137,12 @@ def resolve_run_directory(given: Path | None) -> Path:
     return found
 
 
-def _print_experiment(output: OutputFormat, run: "ExperimentRun") -> None:
+def _print_experiment(output: OutputFormat, run: "ExperimentRun", bound: float | None = None) -> None:
+    """``bound``: of equivalence, instead of that of the experiment file."""
+    from edgectl.experiments.scheme_comparison import compare_schemes
     from edgectl.experiments.scheme_results import summarize_trials
     from edgectl.experiments.views.experiment import ExperimentView
 
-    console.print_view(ExperimentView(run=run, results=summarize_trials(run)), output)
+    results = summarize_trials(run)
+    compared = compare_schemes(results, bound or run.experiment.equivalence)
+    console.print_view(ExperimentView(run=run, results=results, comparisons=compared), output)

@@ -8,10 +8,14 @@ from typer import Argument, Option
 from edgectl.cli import console
 from edgectl.errors import UsageError
 from edgectl.experiments.commands.experiment import resolve_run_directory
+from edgectl.experiments.commands.scheme_options import EquivalenceOption, parse_equivalence
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from edgectl.experiments.model.experiment import ExperimentRun
     from edgectl.experiments.report.page import ReportTable
+    from edgectl.views.text import Row
 
 
 def report_command(
@@ -30,8 +34,11 @@ def report_command(
         Path | None,
         Option("--figures", metavar="DIR", help="Write each figure there, as SVG and PDF."),
     ] = None,
+    equivalence: EquivalenceOption = None,
 ) -> None:
-    """Render an experiment as an HTML page with table and figures, and print the names of the files written.
+    """Render an experiment as an HTML page, and print the names of the files written.
+
+    The page opens with the answer in one sentence, with its interval; table, comparisons and figures follow.
 
     The page is self-contained: no network, no script. An unfinished run is reported as far as it has come.
     Requires the extra report.
@@ -58,23 +65,44 @@ def report_command(
             f"{directory} has no finished trial yet",
             hint="wait for the first one, or resume: edgectl experiment run SPEC",
         )
+    bound = parse_equivalence(equivalence) or loaded.experiment.equivalence
     if figures is not None:
         make_directory(figures)
     page = out or directory / "report.html"
-    for path, data in build_report_files(loaded, _build_report_table(loaded), page, figures):
+    table = _build_report_table(loaded, bound)
+    for path, data in build_report_files(loaded, table, page, figures, bound):
         save_file(path, data)
         console.print_text(f"{path}\n")
 
 
-def _build_report_table(run: "ExperimentRun") -> "ReportTable":
-    """The wide table of ``experiment show``."""
+def _build_report_table(run: "ExperimentRun", bound: float | None) -> "ReportTable":
+    """The answer, the wide table of ``experiment show``, and the comparisons of all metrics.
+
+    ``bound``: of equivalence.
+    """
     from edgectl.experiments.report.page import ReportTable
+    from edgectl.experiments.scheme_comparison import compare_schemes, find_primary_comparison
     from edgectl.experiments.scheme_results import summarize_trials
-    from edgectl.experiments.views.experiment import build_experiment_rows, describe_experiment
+    from edgectl.experiments.views.answer import describe_answer
+    from edgectl.experiments.views.comparison_table import build_comparison_rows
+    from edgectl.experiments.views.experiment import (
+        build_experiment_rows,
+        describe_experiment,
+        list_compared_columns,
+    )
 
     results = summarize_trials(run)
-    rows = [
-        [str(getattr(cell, "text", cell)) for cell in row]
-        for row in build_experiment_rows(run.experiment, results, every=True)
-    ]
-    return ReportTable(rows=rows, notes=list(describe_experiment(run.experiment, results, every=True)))
+    compared = compare_schemes(results, bound)
+    columns = list_compared_columns(run.experiment, results, every=True)
+    return ReportTable(
+        rows=_list_row_texts(build_experiment_rows(run.experiment, results, every=True)),
+        notes=list(describe_experiment(run.experiment, results, compared, every=True)),
+        answer=describe_answer(find_primary_comparison(compared)),
+        compared=_list_row_texts(
+            build_comparison_rows(compared, {column.name: column for column in columns})
+        ),
+    )
+
+
+def _list_row_texts(rows: "Sequence[Row]") -> list[list[str]]:
+    return [[str(getattr(cell, "text", cell)) for cell in row] for row in rows]

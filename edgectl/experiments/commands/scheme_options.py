@@ -9,7 +9,7 @@ from edgectl.config.weights import parse_weights
 from edgectl.errors import UsageError
 from edgectl.experiments.model.schemes import Scheme, build_schemes
 from edgectl.model.policy import Policy, PolicyName, Weights
-from edgectl.units import QuantityError
+from edgectl.units import QuantityError, parse_share
 
 PoliciesOption = Annotated[
     str,
@@ -30,6 +30,30 @@ WeightsListOption = Annotated[
         help="Presets such as cpu,all; or one set: cpu=.5,task=1.",
     ),
 ]
+
+EquivalenceOption = Annotated[
+    str | None,
+    Option(
+        "--equivalence", metavar="SHARE", show_default=False, help="Call schemes equal only within this: 5%."
+    ),
+]
+
+
+def parse_equivalence(text: str | None) -> float | None:
+    """The bound of equivalence, a share above 0; None if there is none.
+
+    Raises:
+        UsageError: ``text`` is no such share.
+    """
+    if text is None:
+        return None
+    try:
+        bound = parse_share(text)
+    except QuantityError as error:
+        raise UsageError(f"--equivalence: {error.message}", hint=error.hint) from None
+    if bound <= 0:
+        raise UsageError(f"--equivalence: must be above 0%, not {text}", hint="write 5%")
+    return bound
 
 
 def parse_schemes(

@@ -7,7 +7,7 @@ from typer import Argument, Option
 
 from edgectl.cli import console, options
 from edgectl.cli.user_files import load_inputs
-from edgectl.experiments.commands.scheme_options import PoliciesOption, WeightsListOption
+from edgectl.experiments.commands.scheme_options import EquivalenceOption, PoliciesOption, WeightsListOption
 from edgectl.views.output_format import OutputFormat
 
 
@@ -21,12 +21,13 @@ def simulate_command(
     weights: WeightsListOption = "cpu,memory,network,all",
     runs: Annotated[
         int, Option("--runs", "-n", metavar="N", min=1, max=1000, help="Runs of each scheme.")
-    ] = 5,
+    ] = 20,
     seed: Annotated[int, Option("--seed", metavar="N", help="Random seed.")] = 1,
     against: Annotated[
         Path | None,
         Option("--against", metavar="RUN", help="Compare with the results of this experiment run."),
     ] = None,
+    equivalence: EquivalenceOption = None,
 ) -> None:
     """Simulate a mission under several schemes in a closed loop, with the real scheduler and diff.
 
@@ -41,15 +42,17 @@ def simulate_command(
         edgectl simulate docs/scenarios/paper-2.yaml --against docs/examples/run
     """
     from edgectl.cli.extras import require_extra
-    from edgectl.experiments.commands.scheme_options import parse_schemes
+    from edgectl.experiments.commands.scheme_options import parse_equivalence, parse_schemes
     from edgectl.experiments.files.run_directory import load_run
     from edgectl.experiments.files.scenario_file import load_scenario, load_scenario_paths
     from edgectl.experiments.reference_values import reference_from_run, reference_from_scenario
+    from edgectl.experiments.scheme_comparison import compare_schemes
     from edgectl.experiments.views.simulation import SimulationView
 
     with require_extra("evidence"):
         from edgectl.experiments.simulator_runs import simulate_schemes
 
+    bound = parse_equivalence(equivalence)
     run = None if against is None else load_run(against)
     named_inventory, named_tasks = load_scenario_paths(scenario)
     loaded = load_inputs(inventory or named_inventory, tasks or ([named_tasks] if named_tasks else None))
@@ -57,4 +60,6 @@ def simulate_command(
     schemes = parse_schemes(loaded.tasks.policy, policies, weights, [])
     results = list(simulate_schemes(loaded.inventory, loaded.tasks, mission, schemes, runs=runs, seed=seed))
     reference = reference_from_scenario(mission) if run is None else reference_from_run(results, run)
-    console.print_view(SimulationView(scenario=mission, results=results, reference=reference), output)
+    compared = compare_schemes(results, bound)
+    view = SimulationView(scenario=mission, results=results, reference=reference, comparisons=compared)
+    console.print_view(view, output)

@@ -124,6 +124,7 @@ EXPERIMENT_KEYS: Mapping[str, NodeReader] = {
     "limit": quantity_reader(parse_duration, above_zero=True),
     "until": list_reader_with_nodes(read_name),
     "idle": _read_idle_share,
+    "equivalence": quantity_reader(parse_share, above_zero=True),
     "metrics": mapping_reader(_METRIC_NAME_PATTERN, "a metric", enum_reader(MetricAggregation)),
     "maps": mapping_reader(
         _MAP_NAME_PATTERN,
@@ -193,7 +194,7 @@ def _build_experiment(
     _check_map_pairs(fields.at("maps"), values.get("maps", {}), directory, tasks, problems)
     given = {
         key: values[key]
-        for key in ("repetitions", "every", "limit", "idle", "metrics", "maps")
+        for key in ("repetitions", "every", "limit", "idle", "equivalence", "metrics", "maps")
         if key in values
     }
     return Experiment(

@@ -18,9 +18,9 @@ TRIAL_KIND = DocumentKind(name="trial", version=1, model=Trial, writer=_WRITER)
 def digest_experiment(experiment: Experiment, inventory: Inventory, tasks: Tasks) -> str:
     """SHA-256 of everything that affects a trial: fleet, tasks and the conditions of a trial.
 
-    Name, schemes, repetitions and metrics are left out: a run can be resumed after they change.
+    Name, schemes, repetitions, metrics and equivalence are left out: a run can be resumed after they change.
     """
-    conditions = replace(experiment, name="", schemes=(), repetitions=1, metrics={})
+    conditions = replace(experiment, name="", schemes=(), repetitions=1, metrics={}, equivalence=None)
     return "sha256:" + hash_value(
         {"experiment": conditions, "inventory": inventory.digest, "tasks": tasks.digest}
     )

@@ -46,6 +46,41 @@ class Estimate:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Interval:
+    """A mean and its 95 % confidence interval; without limits if the values have no spread."""
+
+    mean: float
+    low: float | None = None
+    high: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SchemeComparison:
+    """``scheme`` against ``base`` in one metric, by ``pairs`` of the same repetition or seed (ADR 131).
+
+    ``missing``: repetitions with a value of one of both only. ``difference``: scheme - base, in the unit of
+    the metric. ``ratio``: geometric mean of scheme / base; None where a value is 0 or less. ``p``: two-sided
+    paired t test of the logarithms of the ratios, or of the differences where there is no ratio. ``effect``:
+    Hedges' g of the same. ``equal_p``: of equivalence within ``bound`` (a share) by two one-sided tests. Both
+    p also after Holm over the comparisons of the metric. None: nothing can be computed.
+    """
+
+    metric: str
+    scheme: str
+    base: str
+    pairs: int
+    missing: int
+    difference: Interval | None = None
+    ratio: Interval | None = None
+    p: float | None = None
+    p_holm: float | None = None
+    effect: float | None = None
+    bound: float | None = None
+    equal_p: float | None = None
+    equal_p_holm: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SchemeResult:
     """A scheme over all its runs, simulated or real: a column of the paper's table. None: no run has a value.
 
@@ -55,7 +90,8 @@ class SchemeResult:
     downtime and gap (s, means over handoffs), cpu_s (CPU seconds of all hosts), air (MB over the interfaces
     of a robot, mean over robots) and unplaced (tasks without a host, per run). ``metrics``: of the
     application. ``maps``: SSIM, -1..1. ``unfinished``: runs ended by the time limit. ``unplaced``: summed
-    over all plans.
+    over all plans. ``values``: by metric, the value of each run by its number (the repetition of a trial);
+    the mean over the hosts where it has several.
     """
 
     scheme: Scheme
@@ -66,6 +102,7 @@ class SchemeResult:
     hosts: tuple[str, ...] = ()
     metrics: Mapping[str, Estimate | None] = field(default_factory=dict)
     maps: Mapping[str, Estimate | None] = field(default_factory=dict)
+    values: Mapping[str, Mapping[int, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -50,6 +50,7 @@ class Experiment:
     A trial ends when all tasks in ``until`` have completed, or after ``limit`` s. ``every``: period of
     sampling and planning in s. ``idle``: highest CPU utilisation of a host before a trial, 0..1. ``metrics``:
     of the application, in the order of the table. ``maps``: by column of the table, maps scored by SSIM.
+    ``equivalence``: schemes whose missions differ by less than this share count as equal.
     ``events``: what changes during a trial.
     """
 
@@ -62,6 +63,7 @@ class Experiment:
     idle: float = field(default=0.25, metadata=in_document(required=True))
     metrics: Mapping[str, MetricAggregation] = field(default_factory=dict, metadata=_WRITTEN)
     maps: Mapping[str, MapPair] = field(default_factory=dict, metadata=_WRITTEN)
+    equivalence: Positive | None = None
     events: tuple[MissionEvent, ...] = field(default=(), metadata=in_document(keyed_by="name"))
 
 

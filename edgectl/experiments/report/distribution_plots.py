@@ -9,8 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from edgectl.experiments.model.comparison import Interval
 from edgectl.experiments.model.experiment import ExperimentRun, Trial
+from edgectl.experiments.paired_tests import estimate_mean_interval
 from edgectl.experiments.report.figure_style import (
+    INK,
     ReportFigure,
     choose_time_unit,
     create_panels,
@@ -23,10 +26,11 @@ from edgectl.experiments.report.trial_selection import list_tried_schemes, selec
 from edgectl.names import natural_key
 
 _MIN_BOX_VALUES = 4  # values, for quartiles
-_MAX_PLOTS_PER_ROW = 4
+_MEAN_SHIFT = 0.4  # rows below the points
+_MAX_PLOTS_PER_ROW = 2
 _CAPTION_MARKS = (
     "Each point is one value, the vertical bar is the median; from four values on, the box spans the "
-    "quartiles and the line the range."
+    "quartiles and the line the range. The diamond below is the mean with its 95 % interval."
 )
 
 
@@ -95,7 +99,7 @@ def draw_handoffs(run: ExperimentRun) -> list[ReportFigure]:
 
 
 def _choose_latency_unit(run: ExperimentRun) -> tuple[float, str]:
-    return choose_time_unit(max(trial.latency for trial in run.trials))
+    return choose_time_unit(run)
 
 
 def _build_completion_extractor(task: str, unit: float) -> PointExtractor:
@@ -108,16 +112,17 @@ def _draw_distribution_figure(run: ExperimentRun, kinds: Mapping[str, PointExtra
     With a ``label``, panels share the x axis; otherwise each has its own.
     """
     schemes = list_tried_schemes(run)
-    down = ceil(len(kinds) / _MAX_PLOTS_PER_ROW)
+    # Panels with an axis of their own stand below each other: their labels are long.
+    down = ceil(len(kinds) / (_MAX_PLOTS_PER_ROW if label else 1))
     across = ceil(len(kinds) / down)
     titled = bool(label) and "" not in kinds
     figure, axes = create_panels(
         down,
         across,
-        height=0.19 * len(schemes) + 0.1,
+        height=0.26 * len(schemes) + 0.1,
         left=estimate_text_width_in(map(shorten_label, schemes)) + 0.2,
         top=0.24 if titled else 0.08,
-        gap=(0.16, 0.32 if titled else 0.12),
+        gap=(0.16, 0.32 if titled else 0.4),
         x=bool(label),
     )
     places = [panel for row in axes for panel in row]
@@ -146,9 +151,11 @@ def _draw_scheme_row(panel: Axes, row: int, points: Sequence[_PlotPoint], colour
     if len(values) >= _MIN_BOX_VALUES:
         low, _, high = quantiles(values, n=4, method="inclusive")
         panel.hlines(row, min(values), max(values), color=colour, linewidth=0.6)
-        panel.barh(row, high - low, left=low, height=0.62, color=colour, alpha=0.25, linewidth=0)
+        panel.barh(row, high - low, left=low, height=0.56, color=colour, alpha=0.25, linewidth=0)
     if values:
-        panel.vlines(median(values), row - 0.36, row + 0.36, color=colour, linewidth=1.6, clip_on=False)
+        panel.vlines(median(values), row - 0.3, row + 0.3, color=colour, linewidth=1.6, clip_on=False)
+    if len(values) > 1:
+        _draw_mean_interval(panel, row + _MEAN_SHIFT, estimate_mean_interval(values))
     for place, point in enumerate(points):
         shift = 0.5 * ((place * 0.381966) % 1 - 0.5) if len(points) > 1 else 0.0
         fill = "none" if point.hollow else "full"
@@ -163,6 +170,13 @@ def _draw_scheme_row(panel: Axes, row: int, points: Sequence[_PlotPoint], colour
             clip_on=False,
             zorder=3.0,
         )
+
+
+def _draw_mean_interval(panel: Axes, row: float, mean: Interval) -> None:
+    """The mean, and its interval with caps where there is one; both in the colour of the text."""
+    if mean.low is not None and mean.high is not None:
+        panel.plot([mean.low, mean.high], [row, row], color=INK, linewidth=0.8, marker="|", markersize=3.5)
+    panel.plot(mean.mean, row, "D", color=INK, markersize=2.4, clip_on=False, zorder=3.0)
 
 
 def _scale_value_axis(panel: Axes, schemes: Sequence[str]) -> None:

@@ -19,11 +19,25 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from edgectl.experiments.model.experiment import ExperimentRun
+from edgectl.experiments.report.trial_selection import is_mission_short
 
-FIGURE_WIDTH_IN = 7.16  # both columns of an IEEE page
+FIGURE_WIDTH_IN = 3.5  # one column of an IEEE page; its smallest text is 9 px high on a screen of 400 px
 INK, FAINT, GRID = "#222222", "#6b6b6b", "#d4d4d4"
 # Distinct under all kinds of colour blindness, and with a contrast of at least 3 to white and to black pages.
-SCHEME_COLOURS = ("#767676", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#a67c00", "#8a63d2", "#2a93a8")
+SCHEME_COLOURS = (
+    "#767676",
+    "#0072b2",
+    "#d55e00",
+    "#009e73",
+    "#cc79a7",
+    "#a67c00",
+    "#8a63d2",
+    "#2a93a8",
+    "#b3446c",
+    "#5b7a00",
+    "#4f6bd8",
+    "#9a5b3c",
+)
 TEXT_PT, SMALL_TEXT_PT = 7.0, 6.0  # pt
 _CHARACTER_WIDTH_IN = 0.0615  # of text at 7 pt, on average
 _DEFAULT_STYLE: dict[Any, Any] = {name: value for name, value in rcParamsDefault.items() if name != "backend"}
@@ -221,6 +235,6 @@ def estimate_text_width_in(texts: Iterable[str], size: float = TEXT_PT) -> float
     return max((len(text) for text in texts), default=0) * _CHARACTER_WIDTH_IN * size / TEXT_PT
 
 
-def choose_time_unit(seconds: float) -> tuple[float, str]:
-    """The unit for times up to ``seconds``: its length in s, and its symbol."""
-    return (1.0, "s") if seconds <= 600 else (60.0, "min") if seconds <= 4 * 3600 else (3600.0, "h")
+def choose_time_unit(run: ExperimentRun) -> tuple[float, str]:
+    """The unit of all times of a run, as in the table: its length in s, and its symbol."""
+    return (1.0, "s") if is_mission_short(run) else (60.0, "min")

@@ -42,7 +42,7 @@ _HOST_COLOURS = (
     "#bab0ac",
 )
 _DARK_COLOUR = "#1a1a1a"
-_MAX_CHARTS_PER_ROW, _ROW_HEIGHT_IN = 2, 0.135
+_MAX_CHARTS_PER_ROW, _ROW_HEIGHT_IN = 1, 0.135
 _HANDOFF_MARKER: dict[str, Any] = {"linestyle": "none", "marker": "v", "markersize": 3.4, "color": INK}
 _COMPLETED_MARKER: dict[str, Any] = {
     "linestyle": "none",
@@ -81,7 +81,7 @@ def _draw_gantt_figure(run: ExperimentRun, trials: Sequence[Trial]) -> Figure:
         max(moment for trial in trials for moment in (trial.latency, *(span.end for span in trial.spans)))
         or 1.0
     )
-    unit, word = choose_time_unit(end)
+    unit, word = choose_time_unit(run)
     across, legend = min(len(trials), _MAX_CHARTS_PER_ROW), _compute_legend_columns(colours)
     top = 0.3 + 0.14 * ceil((len(colours) + 2) / legend)
     left = estimate_text_width_in(map(shorten_label, tasks), SMALL_TEXT_PT) + 0.1

@@ -9,7 +9,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from edgectl import __version__
 from edgectl.experiments.model.experiment import ExperimentRun, HandoffRecord
-from edgectl.experiments.report.trial_selection import list_missing_trials, select_trials
+from edgectl.experiments.report.trial_selection import is_mission_short, list_missing_trials, select_trials
 from edgectl.units import format_bytes, format_duration, format_instant
 
 
@@ -25,10 +25,15 @@ class EmbeddedFigure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportTable:
-    """Rows of cells, the first one the heading, and the notes below."""
+    """Rows of cells, the first one the heading, and the notes below.
+
+    ``answer``: the sentence that opens the page. ``compared``: rows of the comparisons; empty without any.
+    """
 
     rows: Sequence[Sequence[str]]
     notes: Sequence[str]
+    answer: str
+    compared: Sequence[Sequence[str]] = ()
 
 
 def render_report_page(run: ExperimentRun, table: ReportTable, figures: Sequence[EmbeddedFigure]) -> str:
@@ -37,6 +42,7 @@ def render_report_page(run: ExperimentRun, table: ReportTable, figures: Sequence
         loader=PackageLoader("edgectl", "experiments/report"), autoescape=True, undefined=StrictUndefined
     )
     environment.filters |= {
+        "mission_time": _format_seconds_of_mission if is_mission_short(run) else _format_minutes_of_mission,
         "instant": _format_epoch,
         "bytes": format_bytes,
         "seconds": _format_measured_seconds,
@@ -54,6 +60,9 @@ def render_report_page(run: ExperimentRun, table: ReportTable, figures: Sequence
         unfinished=[(trial.scheme, trial.repetition) for trial in run.trials if not trial.finished],
         table=list(zip(*table.rows, strict=True)),
         notes=table.notes,
+        time_word="s" if is_mission_short(run) else "min",
+        answer=table.answer,
+        compared=table.compared,
         figures=figures,
         moves=list(_build_handoff_rows(run)),
     )
@@ -85,6 +94,14 @@ def _build_handoff_rows(run: ExperimentRun) -> Iterator[Mapping[str, object]]:
 
 def _format_epoch(epoch_s: float) -> str:
     return format_instant(round(epoch_s))
+
+
+def _format_seconds_of_mission(seconds: float) -> str:
+    return f"{seconds:.1f}"
+
+
+def _format_minutes_of_mission(seconds: float) -> str:
+    return f"{seconds / 60:.2f}"
 
 
 def _get_handoff_task(handoff: HandoffRecord) -> str:

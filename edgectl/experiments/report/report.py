@@ -17,13 +17,18 @@ from edgectl.experiments.report.figure_style import (
 )
 from edgectl.experiments.report.gantt_chart import draw_gantt_charts
 from edgectl.experiments.report.page import EmbeddedFigure, ReportTable, render_report_page
+from edgectl.experiments.report.ratio_plot import draw_ratios
 from edgectl.experiments.report.time_series_plots import draw_loads, draw_readings
 
 
-def draw_figures(run: ExperimentRun) -> list[ReportFigure]:
-    """All figures that the run has data for, in the order of the page; the run needs a trial."""
+def draw_figures(run: ExperimentRun, bound: float | None = None) -> list[ReportFigure]:
+    """All figures that the run has data for, in the order of the page; the run needs a trial.
+
+    ``bound``: of equivalence.
+    """
     with use_figure_style():
         return [
+            *draw_ratios(run, bound),
             draw_latency(run),
             *draw_completions(run),
             *draw_loads(run),
@@ -34,10 +39,10 @@ def draw_figures(run: ExperimentRun) -> list[ReportFigure]:
 
 
 def build_report_files(
-    run: ExperimentRun, table: ReportTable, out: Path, figures: Path | None
+    run: ExperimentRun, table: ReportTable, out: Path, figures: Path | None, bound: float | None = None
 ) -> Iterator[tuple[Path, bytes]]:
     """Paths and contents of the page and of each figure as SVG and PDF; the run needs a trial."""
-    drawn = [(figure, render_svg(figure)) for figure in draw_figures(run)]
+    drawn = [(figure, render_svg(figure)) for figure in draw_figures(run, bound)]
     embedded = [
         EmbeddedFigure(
             name=figure.name,

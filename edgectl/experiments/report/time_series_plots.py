@@ -26,7 +26,7 @@ from edgectl.names import natural_key
 
 TimeSeries = Sequence[tuple[float, float]]  # (s after the start of the trial, value), by time
 SeriesExtractor = Callable[[Trial, str], TimeSeries]
-_MAX_PANELS_PER_ROW, _MAX_MEAN_STEPS = 6, 240
+_MAX_PANELS_PER_ROW, _MAX_MEAN_STEPS = 3, 240
 _CAPTION_LINES = (
     "Thin: each trial; thick: the mean of the trials still running, while at least half of them are."
 )
@@ -121,7 +121,7 @@ def _draw_quantity(
     what: str = "host",
     note: str = "",
 ) -> list[ReportFigure]:
-    """The figures of one quantity, with at most six columns each.
+    """The figures of one quantity, with at most three columns each.
 
     ``most``: smallest upper end of the value axis.
     """
@@ -156,7 +156,7 @@ def _draw_time_series_figure(
     figure, axes = create_panels(
         len(schemes), len(heads), height=0.56, left=left, top=0.1 + 0.125 * max(lines, 2)
     )
-    second, word = choose_time_unit(max(trial.latency for trial in run.trials))
+    second, word = choose_time_unit(run)
     for scheme, row in zip(schemes, axes, strict=True):
         trials = select_trials(run, scheme)
         for column, panel in zip(heads, row, strict=True):

@@ -1,14 +1,24 @@
 """Selection of a run's trials, and the list of missing ones."""
 
 from collections.abc import Sequence
+from statistics import fmean
 
 from edgectl.experiments.model.experiment import ExperimentRun, Trial
+from edgectl.experiments.views.scheme_table import SHORT_MISSION_S
 
 
 def list_tried_schemes(run: ExperimentRun) -> list[str]:
     """The schemes with at least one trial, in the order of the experiment."""
     done = {trial.scheme for trial in run.trials}
     return [scheme.name for scheme in run.experiment.schemes if scheme.name in done]
+
+
+def is_mission_short(run: ExperimentRun) -> bool:
+    """Whether the mean time of the mission is below two minutes under every scheme, so that it is in s."""
+    means = [
+        fmean(trial.latency for trial in select_trials(run, scheme)) for scheme in list_tried_schemes(run)
+    ]
+    return max(means, default=0.0) < SHORT_MISSION_S
 
 
 def select_trials(run: ExperimentRun, scheme: str) -> list[Trial]:

@@ -3,8 +3,15 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from edgectl.experiments.model.comparison import SchemeResult
+from edgectl.experiments.model.comparison import SchemeComparison, SchemeResult
 from edgectl.experiments.model.experiment import Experiment, ExperimentRun
+from edgectl.experiments.scheme_comparison import MISSION_TIME, find_primary_comparison
+from edgectl.experiments.views.answer import describe_answer
+from edgectl.experiments.views.comparison_table import (
+    describe_comparisons,
+    encode_comparison,
+    render_comparison_table,
+)
 from edgectl.experiments.views.scheme_table import (
     MetricColumn,
     build_application_column,
@@ -37,13 +44,14 @@ class ExperimentView(ItemView):
     formats = EXPERIMENT_FORMATS
     run: ExperimentRun
     results: Sequence[SchemeResult]
+    comparisons: Sequence[SchemeComparison] = ()
 
     def table(self, look: RenderOptions = PLAIN) -> str:
         """One row per scheme with its main metrics, then progress and latency ratios."""
         return self._render(look, every=False)
 
     def wide(self, look: RenderOptions = PLAIN) -> str:
-        """The table with all metrics, each with its standard deviation."""
+        """The table with all metrics, each with its interval."""
         return self._render(look, every=True)
 
     def markdown(self) -> str:
@@ -55,7 +63,7 @@ class ExperimentView(ItemView):
         lines = [heading, ["---", *["---:"] * (len(heading) - 1)]]
         lines += ([escape_markdown(cell) for cell in row] for row in body)
         rows = "".join(f"| {' | '.join(line)} |\n" for line in lines)
-        notes = describe_experiment(self.run.experiment, self.results, every=True)
+        notes = self._list_notes(every=True)
         return rows + "\n" + "".join(f"- {escape_markdown(note)}\n" for note in notes)
 
     def item(self) -> Document:
@@ -69,6 +77,8 @@ class ExperimentView(ItemView):
             "digest": self.run.digest,
             "planned": self.run.experiment.repetitions,
             "trials": sum(result.runs for result in self.results),
+            "answer": describe_answer(find_primary_comparison(self.comparisons)),
+            "comparisons": [encode_comparison(each) for each in self.comparisons],
             "schemes": [
                 {**encode_scheme_result(result), **encode_application_metrics(result)}
                 for result in self.results
@@ -82,15 +92,22 @@ class ExperimentView(ItemView):
 
     def _render(self, look: RenderOptions, *, every: bool) -> str:
         rows = build_experiment_rows(self.run.experiment, self.results, every=every)
-        notes = describe_experiment(self.run.experiment, self.results, every=every)
-        text = "".join(wrap_text(escape_unprintable(note), look) for note in notes)
-        return f"{render_scheme_table(rows, look)}\n{text}"
+        text = "".join(wrap_text(escape_unprintable(note), look) for note in self._list_notes(every=every))
+        columns = list_compared_columns(self.run.experiment, self.results, every=every)
+        compared = render_comparison_table(self.comparisons, columns, look)
+        return f"{render_scheme_table(rows, look)}\n{compared}{text}"
+
+    def _list_notes(self, *, every: bool) -> Iterator[str]:
+        """The answer, where there is one, and the notes on the tables."""
+        if self.comparisons:
+            yield describe_answer(find_primary_comparison(self.comparisons))
+        yield from describe_experiment(self.run.experiment, self.results, self.comparisons, every=every)
 
 
 def build_experiment_rows(
     experiment: Experiment, results: Sequence[SchemeResult], *, every: bool
 ) -> list[Row]:
-    """The heading and a row per scheme; ``every``: all metrics, each with its standard deviation.
+    """The heading and a row per scheme; ``every``: all metrics, each with its interval.
 
     The column TRIALS is left out of the narrow table once no trial is missing.
     """
@@ -132,14 +149,27 @@ def _build_counter_columns(results: Sequence[SchemeResult]) -> list[MetricColumn
     return [column for column in columns if any(any(column.estimates(result)) for result in results)]
 
 
+def list_compared_columns(
+    experiment: Experiment, results: Sequence[SchemeResult], *, every: bool
+) -> list[MetricColumn]:
+    """The columns of which schemes are compared: the time of the mission, or with ``every`` all."""
+    columns = _build_experiment_columns(experiment, results, every=every)
+    return [column for column in columns if every or column.name == MISSION_TIME]
+
+
 def describe_experiment(
-    experiment: Experiment, results: Sequence[SchemeResult], *, every: bool = False
+    experiment: Experiment,
+    results: Sequence[SchemeResult],
+    comparisons: Sequence[SchemeComparison] = (),
+    *,
+    every: bool = False,
 ) -> Iterator[str]:
     """The notes below the table of the same ``every``."""
     done, planned = sum(result.runs for result in results), experiment.repetitions * len(results)
     hosts = next((result.hosts for result in results if result.hosts), ())
     by_edge = f", by edge ({'/'.join(hosts)}; local: mean of the robots)" if hosts else ""
     yield f"{done} of {planned} trials of {experiment.name}; {describe_table_numbers(every=every)}{by_edge}."
+    yield from describe_comparisons(comparisons)
     yield from describe_unfinished(results, "trials")
     yield from (
         f"{result.scheme.name}: unplaced tasks, summed over all plans: {result.unplaced}"

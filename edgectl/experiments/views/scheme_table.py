@@ -9,15 +9,15 @@ from edgectl.formats.document import Document, encode_number
 from edgectl.views.text import Cell, RenderOptions, Row, measure_column_widths, render_columns
 
 _COLUMN_GAP = "  "
-# Mean latencies below this are shown in seconds.
-_SHORT_LATENCY_MIN = 2.0
+# Times of missions are in seconds where all means are below this, else in minutes.
+SHORT_MISSION_S = 120.0
 _SMALL_PERCENT = 10.0
 
 
 class MetricColumn(NamedTuple):
     """A column: its heading, the estimates it takes from a scheme, the format of a number.
 
-    ``spread``: show the standard deviation in the narrow table too.
+    ``spread``: show the interval in the narrow table too.
     """
 
     name: str
@@ -49,7 +49,7 @@ def build_percent_column(name: str, heading: str, results: Iterable[SchemeResult
 def build_latency_column(results: Iterable[SchemeResult]) -> MetricColumn:
     """Latency in minutes as in the paper, or in seconds if all means are short."""
     means = [each.mean for result in results for each in result.estimates.get("latency", ()) if each]
-    short = max(means, default=0.0) < _SHORT_LATENCY_MIN
+    short = max(means, default=0.0) < SHORT_MISSION_S / 60
     return (
         build_metric_column("latency", "LATENCY s", 1, 60.0, spread=True)
         if short
@@ -89,7 +89,7 @@ def build_ssim_column(name: str) -> MetricColumn:
 
 
 def format_estimates(estimates: Sequence[Estimate | None], column: MetricColumn, *, spread: bool) -> str:
-    """The means of a metric, one per host; ``spread``: each with its standard deviation over several runs."""
+    """The means of a metric, one per host; ``spread``: each with half of its 95 % interval."""
     if not any(estimates):
         return "-"
     return "/".join(_format_estimate(each, column, spread=spread or column.spread) for each in estimates)
@@ -98,13 +98,18 @@ def format_estimates(estimates: Sequence[Estimate | None], column: MetricColumn,
 def _format_estimate(estimate: Estimate | None, column: MetricColumn, *, spread: bool) -> str:
     if estimate is None:
         return "-"
-    deviation = f"±{column.format_number(estimate.std)}" if spread and estimate.count > 1 else ""
-    return column.format_number(estimate.mean) + deviation
+    half = (
+        f"±{column.format_number(estimate.half_ci95)}"
+        if spread and estimate.count > 1 and estimate.std
+        else ""
+    )
+    return column.format_number(estimate.mean) + half
 
 
 def describe_table_numbers(*, every: bool) -> str:
     """The statistics in the cells of the table."""
-    return "mean±deviation" if every else "mean±deviation of the latency, means of the rest"
+    interval = "mean±half of the 95 % interval"
+    return interval if every else f"{interval} of the latency, means of the rest"
 
 
 def render_scheme_table(rows: Sequence[Row], look: RenderOptions) -> str:

@@ -3,8 +3,15 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from edgectl.experiments.model.comparison import ReferenceValues, SchemeResult
+from edgectl.experiments.model.comparison import ReferenceValues, SchemeComparison, SchemeResult
 from edgectl.experiments.model.scenario import Scenario
+from edgectl.experiments.scheme_comparison import MISSION_TIME, find_primary_comparison
+from edgectl.experiments.views.answer import describe_answer
+from edgectl.experiments.views.comparison_table import (
+    describe_comparisons,
+    encode_comparison,
+    render_comparison_table,
+)
 from edgectl.experiments.views.scheme_table import (
     MetricColumn,
     build_metric_column,
@@ -22,7 +29,7 @@ from edgectl.views.output import ItemView, round_item
 from edgectl.views.output_format import WIDE_FORMATS
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, wrap_text
 
-_NARROW_METRICS = ("latency", "cpu", "memory", "rate", "handoffs")
+_NARROW_METRICS = ("latency", "cpu", "memory", "handoffs")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,13 +41,14 @@ class SimulationView(ItemView):
     scenario: Scenario
     results: Sequence[SchemeResult]
     reference: ReferenceValues
+    comparisons: Sequence[SchemeComparison] = ()
 
     def table(self, look: RenderOptions = PLAIN) -> str:
         """Per scheme its main metrics, reference values and deviations; then notes and all assumptions."""
         return self._render(look, every=False)
 
     def wide(self, look: RenderOptions = PLAIN) -> str:
-        """The table with all metrics, each with its standard deviation."""
+        """The table with all metrics, each with its interval."""
         return self._render(look, every=True)
 
     def item(self) -> Document:
@@ -50,6 +58,8 @@ class SimulationView(ItemView):
             "reference": self.reference.label,
             "assumptions": list(self.scenario.assumptions),
             "notes": list(self.reference.notes),
+            "answer": describe_answer(find_primary_comparison(self.comparisons)),
+            "comparisons": [encode_comparison(each) for each in self.comparisons],
             "schemes": [_encode_simulated_scheme(result, self.reference) for result in self.results],
         }
 
@@ -68,14 +78,19 @@ class SimulationView(ItemView):
         for result in self.results:
             rows += _build_scheme_rows(result, self.reference, columns, every=every)
         notes = "".join(wrap_text(note, look) for note in self._describe(every=every))
-        return f"{render_scheme_table(rows, look)}\n{notes}"
+        shown = columns if every else [column for column in columns if column.name == MISSION_TIME]
+        compared = render_comparison_table(self.comparisons, shown, look)
+        return f"{render_scheme_table(rows, look)}\n{compared}{notes}"
 
     def _describe(self, *, every: bool) -> Iterator[str]:
         """The notes below the table."""
         runs = max((result.runs for result in self.results), default=0)
         numbers = describe_table_numbers(every=every)
         noun = "run" if runs == 1 else "runs"
+        if self.comparisons:
+            yield describe_answer(find_primary_comparison(self.comparisons))
         yield f"{runs} {noun} of each scheme; {numbers}, by edge (local: of the robots)."
+        yield from describe_comparisons(self.comparisons)
         yield from describe_unfinished(self.results, "runs")
         yield from describe_latency_ratios(
             self.results, lambda result, base: _format_reference_ratio(self.reference, result, base)
@@ -97,8 +112,10 @@ def _build_simulation_columns(results: Sequence[SchemeResult]) -> tuple[MetricCo
 def _is_column_shown(
     column: MetricColumn, results: Sequence[SchemeResult], reference: ReferenceValues, *, every: bool
 ) -> bool:
-    """Whether the table has the column; SSIM, which is not simulated, only if the reference has it."""
+    """Whether the table has the column: a rate only if it is simulated, SSIM only if the reference has it."""
     simulated = any(any(column.estimates(result)) for result in results)
+    if column.name == "rate":
+        return simulated
     return column.name in _NARROW_METRICS or (
         every and (simulated or any(column.name in means for means in reference.means.values()))
     )
