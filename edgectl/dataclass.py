@@ -2,6 +2,7 @@
 
 The standard one compiles six methods per class, half a millisecond of CPU, which was half of the time of
 importing edgectl. Those made here are closures over the fields; they behave alike and take as long (ADR 99).
+Only the initializer of a class of which a process makes many objects is compiled after all (ADR 134).
 """
 
 import dataclasses
@@ -13,6 +14,9 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 T = TypeVar("T")
 Method = Callable[..., Any]
+# Objects of a class from which on a compiled initializer (0.2 ms to make, 1 us saved by each object) pays.
+COMPILE_AFTER = 1000
+_ABSENT = object()
 
 if TYPE_CHECKING:
     from dataclasses import dataclass as dataclass
@@ -48,10 +52,14 @@ def _make_init(cls: type[Any]) -> Method:
     factories = [
         (each.name, each.default_factory) for each in fields(cls) if each.default_factory is not MISSING
     ]
-    count = len(setters)
+    count, made = len(setters), 0
     finishes = hasattr(cls, "__post_init__")
 
     def __init__(self: Any, /, **values: Any) -> None:  # noqa: ANN401, N807
+        nonlocal made
+        made += 1
+        if made == COMPILE_AFTER:
+            cls.__init__ = _compile_init(cls)
         if len(values) != count:
             values = defaults | values
             for name, make in factories:
@@ -68,6 +76,32 @@ def _make_init(cls: type[Any]) -> Method:
             self.__post_init__()
 
     return __init__
+
+
+def _compile_init(cls: type[Any]) -> Method:
+    """The same initializer as one function of the fields."""
+    known: dict[str, Any] = {"_ABSENT": _ABSENT}
+    parameters, lines = [], []
+    for index, each in enumerate(fields(cls)):
+        known[f"_set{index}"] = getattr(cls, each.name).__set__
+        value = each.name
+        if each.default is not MISSING:
+            known[f"_default{index}"] = each.default
+            parameters.append(f"{each.name}=_default{index}")
+        elif each.default_factory is not MISSING:
+            known[f"_make{index}"] = each.default_factory
+            parameters.append(f"{each.name}=_ABSENT")
+            value = f"_make{index}() if {each.name} is _ABSENT else {each.name}"
+        else:
+            parameters.append(each.name)
+        lines.append(f"    _set{index}(self, {value})\n")
+    if hasattr(cls, "__post_init__"):
+        lines.append("    self.__post_init__()\n")
+    head = f"def __init__(self, /{''.join(', ' + each for each in ['*', *parameters] if parameters)}):\n"
+    exec(head + "".join(lines or ["    pass\n"]), known)  # noqa: S102 - names of fields, from our own classes
+    made: Method = known["__init__"]
+    made.__qualname__ = f"{cls.__qualname__}.__init__"
+    return made
 
 
 def _raise_mismatch(cls: type[Any], values: dict[str, Any]) -> NoReturn:

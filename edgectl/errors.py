@@ -11,6 +11,7 @@
     ├── RosGraphError               the ROS master does not answer, or has forgotten us (exit 75)
     ├── StalePlanError              the fleet changed since the plan was made (exit 75)
     ├── UnansweredError             the answer depends on a host that did not answer (exit 4)
+    ├── PluginError                 a plugin of another package cannot be loaded, or fails (exit 1)
     ├── FleetBusyError              the fleet is not free for an experiment (exit 75)
     └── HostError                   one host did not do what was asked; costs that host, never the run
         ├── ConnectError            no TCP or SSH session (off, refused, no route, name unknown)
@@ -150,6 +151,10 @@ class UnansweredError(EdgectlError):
 def describe_unseen_task(task: str, host: str) -> str:
     """Phrase for a task that no host reports, and whose last known ``host`` did not answer."""
     return f"{task}, last known on {host}, which does not answer"
+
+
+class PluginError(EdgectlError):
+    """A plugin cannot be loaded, or failed; the message names it and its package."""
 
 
 class FleetBusyError(EdgectlError):

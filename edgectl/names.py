@@ -3,6 +3,7 @@
 import difflib
 import re
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 
 from edgectl.errors import UsageError
 
@@ -51,6 +52,7 @@ def check_known_names(names: Iterable[str], among: Iterable[str], what: str) -> 
 _DIGITS = re.compile(r"([0-9]+)")
 
 
+@lru_cache(maxsize=100_000)  # names of hosts and tasks, which every plan sorts again
 def natural_key(name: str) -> tuple[tuple[str | int, ...], str]:
     """Sort key by which runs of digits compare as numbers; the name itself separates ``e1`` from ``e01``."""
     parts = _DIGITS.split(name)

@@ -1,6 +1,7 @@
 """The typer application: commands in help groups; only the requested command is imported."""
 
 import os
+import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Annotated, Any, NamedTuple
@@ -49,7 +50,10 @@ COMMANDS = {
         "cli.profile", "Inspect", "Show measured usage of a task; --write saves it as its demand."
     ),
     "stop": CommandEntry("cli.stop", "Operate", "Stop tasks."),
+    "start": CommandEntry("cli.stop", "Operate", "Start tasks that are stopped, failed or completed."),
     "restart": CommandEntry("cli.stop", "Operate", "Restart a task in place."),
+    "move": CommandEntry("cli.pins", "Operate", "Pin a task to a host, for a time or until unpinned."),
+    "unpin": CommandEntry("cli.pins", "Operate", "Let tasks be placed by utility again."),
     "rollback": CommandEntry("cli.history", "Operate", "Restore the placement of an earlier revision."),
     "cordon": CommandEntry("cli.operator_marks", "Operate", "Mark hosts as unschedulable."),
     "uncordon": CommandEntry("cli.operator_marks", "Operate", "Mark hosts as schedulable."),
@@ -64,6 +68,8 @@ COMMANDS = {
     "reopen": CommandEntry(
         "cli.operator_marks", "Operate", "Make completed or failed tasks schedulable again."
     ),
+    "exec": CommandEntry("cli.enter", "Operate", "Run a command where a task runs, in its environment."),
+    "ssh": CommandEntry("cli.enter", "Operate", "Log in to a host, or run a command there."),
     "trust": CommandEntry("cli.trust", "Operate", "Record the SSH host keys of hosts."),
     "doctor": CommandEntry("cli.doctor", "Operate", "Diagnose hosts, links and configuration."),
     "profilers start": CommandEntry("cli.profilers", "Operate", "Start resident profilers on the hosts."),
@@ -121,6 +127,12 @@ COMMANDS = {
     "export systemd": CommandEntry(
         "cli.export_jobs", "Files", "Print systemd units that apply periodically, or watch."
     ),
+    "config view": CommandEntry(
+        "cli.config", "Settings", "Show the settings in effect; with --origin, where each comes from."
+    ),
+    "config use-context": CommandEntry("cli.config", "Settings", "Choose the context of later commands."),
+    "config get-contexts": CommandEntry("cli.config", "Settings", "List the contexts."),
+    "config current-context": CommandEntry("cli.config", "Settings", "Print the name of the context."),
     "version": CommandEntry("cli.offline_commands", "Settings", "Print the version."),
     "completion": CommandEntry("cli.offline_commands", "Settings", "Print the completion script of a shell."),
 }
@@ -133,15 +145,17 @@ GROUP_HELP: dict[str, str] = {
     "import": "Import launch files and host lists of other tools.",
     "export": "Export for cron, systemd, Prometheus, ROS, CSV and others.",
     "experiment": "Compare schemes on real hosts.",
+    "config": "Show and choose the settings of edgectl.yaml and of the user.",
 }
 SUMMARY = "Place robot tasks on edge computers by measured utility: probe, plan, apply, over SSH."
 EPILOG = (
     "Exit codes: 0 done; 1 failed; 2 changes pending, 3 unplaced (plan --detailed-exitcode); 4 partly "
     "done; 64 usage; "
     "75 locked, stale or busy, try again; 130 interrupted.\n\n"
-    "Environment: EDGECTL_INVENTORY, EDGECTL_TASKS, EDGECTL_OUTPUT, EDGECTL_STATE_DIR, "
+    "Environment: EDGECTL_INVENTORY, EDGECTL_TASKS, EDGECTL_CONTEXT, EDGECTL_OUTPUT, EDGECTL_STATE_DIR, "
     "EDGECTL_INSECURE_FILES, EDGECTL_DEBUG, NO_COLOR, FORCE_COLOR."
 )
+_TO_IDENTIFIER = str.maketrans(" -", "__")
 CONTEXT_SETTINGS: dict[str, Any] = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 
@@ -199,7 +213,9 @@ def build_app_with_commands(
         if name in wanted:
             from edgectl.cli.options import expand_option_groups
 
-            function = getattr(import_module(f"edgectl.{entry.module}"), f"{name.replace(' ', '_')}_command")
+            function = getattr(
+                import_module(f"edgectl.{entry.module}"), f"{name.translate(_TO_IDENTIFIER)}_command"
+            )
             text, examples = split_docstring(function)
             place.command(
                 second or name,
@@ -225,18 +241,35 @@ def _print_version(wanted: bool) -> None:  # noqa: FBT001 - typer passes it by p
         raise typer.Exit
 
 
+def _complete_contexts(incomplete: str) -> list[str]:
+    from edgectl.cli.completion import complete_contexts
+
+    return complete_contexts(incomplete)
+
+
 def _root_callback(
     *,
     _version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
     ] = False,
-    insecure_files: Annotated[
+    _insecure_files: Annotated[
         bool, typer.Option("--insecure-files", help="Act on files that other users may write.")
     ] = False,
+    context: Annotated[
+        str | None,
+        typer.Option(
+            "--context",
+            metavar="NAME",
+            autocompletion=_complete_contexts,
+            help="A fleet that edgectl.yaml or the user's configuration names.",
+        ),
+    ] = None,
 ) -> None:
-    """Options of every command."""
-    if insecure_files:
-        os.environ["EDGECTL_INSECURE_FILES"] = "1"
+    """Options of every command. The entry point acts on --insecure-files: settings are read before this."""
+    if context is not None or "edgectl.cli.project" in sys.modules:
+        from edgectl.cli.project import use_context_option
+
+        use_context_option(context)
 
 
 def _placeholder_command() -> None:

@@ -42,8 +42,15 @@ class ApplySession:
     """One change: output before, during and after it."""
 
     def __init__(
-        self, *, quiet: bool, output: OutputFormat, asked: bool, within: contextlib.ExitStack
+        self,
+        *,
+        quiet: bool,
+        output: OutputFormat,
+        asked: bool,
+        dry_run: bool,
+        within: contextlib.ExitStack,
     ) -> None:
+        self._dry_run = dry_run
         self._quiet, self._output, self._asked, self._within = quiet, output, asked, within
         self._listener: ProgressListener = ignore_progress
         self.stop_requested = threading.Event()
@@ -62,6 +69,7 @@ class ApplySession:
             max_parallel=max_parallel,
             fail_fast=fail_fast,
             choose=choose,
+            dry_run=self._dry_run,
             progress=self._hear,
             stop_requested=self.stop_requested,
         )
@@ -97,9 +105,13 @@ class ApplySession:
         self._listener(event)
 
     def report(self, applied: ApplyResult, code: ExitCode = ExitCode.DONE) -> None:
-        """Print the results. Quiet: only the reason of an exit code other than 0."""
+        """Print the results, or after a dry run nothing. Quiet: only the reason of an exit code other
+        than 0.
+        """
         from edgectl.views.results import ResultsView
 
+        if self._dry_run:
+            return
         if applied.declined:
             console.print_message("nothing was done")
         elif applied.results is not None:
@@ -139,11 +151,16 @@ def ask_confirmation(question: str, answer: str = "yes") -> bool:
 
 
 @contextlib.contextmanager
-def open_apply_session(*, quiet: bool, output: OutputFormat, asked: bool) -> Iterator[ApplySession]:
-    """A session: the first Ctrl-C (or SIGTERM) lets running actions finish, the second stops at once."""
+def open_apply_session(
+    *, quiet: bool, output: OutputFormat, asked: bool, dry_run: bool = False
+) -> Iterator[ApplySession]:
+    """A session: the first Ctrl-C (or SIGTERM) lets running actions finish, the second stops at once.
+
+    ``dry_run``: only plan; ``print_requests`` then shows what would be sent.
+    """
     check_output_format(output, NAMED_FORMATS)
     with contextlib.ExitStack() as within:
-        act = ApplySession(quiet=quiet, output=output, asked=asked, within=within)
+        act = ApplySession(quiet=quiet, output=output, asked=asked, dry_run=dry_run, within=within)
         within.enter_context(request_stop_on_signal(act.stop_requested))
         yield act
 
@@ -152,11 +169,20 @@ def print_dry_run(
     fleet: Fleet, policy: Policy, saved: Plan | None, choose: Callable[[Plan], Plan], output: OutputFormat
 ) -> ExitCode:
     """Print the requests of apply, host by host."""
-    from edgectl.views.dry_run import RequestsView
-
-    check_output_format(output, RequestsView.formats)
     if saved is not None:
         check_saved_plan(fleet, saved)
     plan = saved if saved is not None else choose(make_plan(fleet, policy))
+    return print_requests(fleet, plan, output)
+
+
+def print_requests(fleet: Fleet, plan: Plan, output: OutputFormat) -> ExitCode:
+    """Print the requests of ``plan``, host by host.
+
+    Raises:
+        UsageError: they have no such format.
+    """
+    from edgectl.views.dry_run import RequestsView
+
+    check_output_format(output, RequestsView.formats)
     console.print_view(RequestsView(list_remote_commands(fleet, plan)), output)
     return ExitCode.DONE

@@ -4,21 +4,20 @@ import os
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from edgectl.errors import EdgectlError
+
+if TYPE_CHECKING:
+    from edgectl.cli.project import ChosenFiles
 
 
 def complete_hosts(incomplete: str) -> list[str]:
     """Names of hosts in the inventory."""
-    from edgectl.cli.user_files import resolve_inventory_path
     from edgectl.config.load import load_inventory
 
     try:
-        names = list(
-            load_inventory(
-                resolve_inventory_path(_find_named_file("-i", "--inventory", "EDGECTL_INVENTORY"))
-            ).hosts
-        )
+        names = list(load_inventory(_choose_named_files().inventories).hosts)
     except EdgectlError:
         return []
     return [name for name in names if name.startswith(incomplete)]
@@ -26,26 +25,45 @@ def complete_hosts(incomplete: str) -> list[str]:
 
 def complete_tasks(incomplete: str) -> list[str]:
     """Names of tasks in the task files."""
-    from edgectl.cli.user_files import resolve_inventory_path, resolve_task_paths
+    from edgectl.cli.user_files import list_task_files
     from edgectl.config.load import load_inventory_and_tasks
 
-    named = _find_named_file("-t", "--tasks", "EDGECTL_TASKS")
     try:
-        names = load_inventory_and_tasks(
-            resolve_inventory_path(_find_named_file("-i", "--inventory", "EDGECTL_INVENTORY")),
-            resolve_task_paths([named] if named else None),
-        )[1].tasks
+        chosen = _choose_named_files()
+        names = load_inventory_and_tasks(chosen.inventories, list_task_files(chosen))[1].tasks
     except EdgectlError:
         return []
     return [name for name in names if name.startswith(incomplete)]
 
 
-def _find_named_file(short: str, long: str, variable: str) -> Path | None:
-    """The file named on the line being completed, or in the environment."""
+def complete_contexts(incomplete: str) -> list[str]:
+    """Names of contexts in the project file and the user's configuration."""
+    from edgectl.cli.project import load_settings
+
+    try:
+        names = load_settings().contexts
+    except EdgectlError:
+        return []
+    return [name for name in names if name.startswith(incomplete)]
+
+
+def _choose_named_files() -> "ChosenFiles":
+    """The files that the line being completed, or what stands behind it, names."""
+    from edgectl.cli.project import choose_files
+
+    context = _find_named_words("--context")
+    return choose_files(
+        [Path(word) for word in _find_named_words("-i", "--inventory")],
+        [Path(word) for word in _find_named_words("-t", "--tasks")],
+        context[-1] if context else None,
+    )
+
+
+def _find_named_words(*options: str) -> list[str]:
+    """The values of an option on the line being completed."""
     words = _split_completed_line()
-    following = [after for word, after in pairwise(words) if word in (short, long)]
-    text = following[-1] if following else os.environ.get(variable)
-    return Path(text) if text else None
+    long = [word.partition("=")[2] for word in words if word.partition("=")[0] in options and "=" in word]
+    return [after for word, after in pairwise(words) if word in options] + long
 
 
 def _split_completed_line() -> Sequence[str]:

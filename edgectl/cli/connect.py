@@ -1,13 +1,12 @@
 """Construction of a fleet from its files."""
 
-import contextlib
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from edgectl.cli import console
 from edgectl.cli.user_files import LoadedInputs, refuse_exposed_files
-from edgectl.errors import StateError, UsageError
+from edgectl.errors import UsageError
 from edgectl.units import QuantityError, parse_duration
 from edgectl.usecases.fleet import Fleet
 
@@ -33,18 +32,16 @@ def build_fleet(loaded: LoadedInputs, *, accept_new: bool = False, asking: bool 
 def _build_fleet_with_state(
     loaded: LoadedInputs, state: Path, *, accept_new: bool = False, asking: bool = True
 ) -> Fleet:
-    from edgectl.state.cache_key import load_cache_key
-    from edgectl.transport.agent_client import use_cache_key
-    from edgectl.transport.fleet_transport import FleetTransport
+    from edgectl.usecases.open_fleet import open_fleet
 
     refuse_exposed_files(loaded.exposed)
-    transport = FleetTransport(
-        accept_new=accept_new, ask_password=_ask_password if asking and sys.stdin.isatty() else None
-    )
-    with contextlib.suppress(StateError):  # doctor says what is wrong with the directory
-        use_cache_key(loaded.inventory.fleet, load_cache_key(state))
-    return Fleet(
-        inventory=loaded.inventory, tasks=loaded.tasks, transport=transport, state=state, warn=print_warning
+    return open_fleet(
+        loaded.inventory,
+        loaded.tasks,
+        state,
+        warn=print_warning,
+        accept_new=accept_new,
+        ask_password=_ask_password if asking and sys.stdin.isatty() else None,
     )
 
 

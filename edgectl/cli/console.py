@@ -97,6 +97,9 @@ def get_stderr_render_options() -> "RenderOptions":
 
 def print_input_warnings(problems: Iterable["Problem"]) -> None:
     """Print warnings about input files that are valid."""
+    problems = list(problems)
+    if not problems:
+        return
     from edgectl.views import errors
 
     print_stderr("".join(errors.render_problem(problem, get_stderr_render_options()) for problem in problems))

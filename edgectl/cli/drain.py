@@ -17,6 +17,7 @@ def drain_command(
     tasks: options.TasksOption = None,
     output: options.NamedOutput = OutputFormat.TABLE,
     yes: options.YesOption = False,
+    dry_run: options.DryRunOption = False,
     timeout: Annotated[str, Option("--timeout", metavar="TIME", help="How long to retry.")] = "5m",
     max_parallel: options.MaxParallelOption = 16,
     fail_fast: options.FailFastOption = False,
@@ -27,16 +28,17 @@ def drain_command(
     Examples:
         edgectl drain edge1
         edgectl drain edge1 --yes --timeout 10m
+        edgectl drain edge1 --dry-run
     """
     from edgectl.cli.connect import build_fleet, parse_duration_option, parse_lock_timeout
     from edgectl.usecases.drain import drain_hosts
     from edgectl.views.other_tasks import list_foreign_notes
     from edgectl.views.results import DrainView
 
-    asked = apply_session.check_can_confirm(asked=not yes)
+    asked = apply_session.check_can_confirm(asked=not (yes or dry_run))
     loaded = load_inputs(inventory, tasks)
     fleet = build_fleet(loaded)
-    with apply_session.open_apply_session(quiet=False, output=output, asked=asked) as act:
+    with apply_session.open_apply_session(quiet=False, output=output, asked=asked, dry_run=dry_run) as act:
         chosen = act.options(
             lock_timeout=parse_lock_timeout(lock_timeout),
             max_parallel=max_parallel,
@@ -50,6 +52,8 @@ def drain_command(
             chosen,
             timeout=parse_duration_option(timeout, "--timeout"),
         )
+    if dry_run:
+        raise Exit(apply_session.print_requests(fleet, drained.applied.plan, output))
     passes = [each.results for each in drained.passes if each.results is not None]
     if passes:
         console.print_view(DrainView(passes, drained.left, done=drained.done), output)

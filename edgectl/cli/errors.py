@@ -85,7 +85,7 @@ def print_error(error: EdgectlError, words: Sequence[str]) -> None:
     elif form == "gitlab" and isinstance(error, InputError):
         console.print_text(gitlab.render_report(error.problems))
     elif form == "json":
-        asked_for = isinstance(error, InputError) and "validate" in words[:1]
+        asked_for = isinstance(error, InputError) and "validate" in words[:3]
         (console.print_text if asked_for else console.print_stderr)(errors.render_error_json(error))
     else:
         console.print_stderr(errors.render_error(error, console.get_stderr_render_options()))

@@ -1,15 +1,18 @@
 """events command."""
 
 import time
-from typing import Annotated
+from typing import Annotated, Literal
 
-from typer import Option
+from typer import Argument, Exit, Option
 
 from edgectl.cli import console, options
 from edgectl.cli.completion import complete_hosts, complete_tasks
 from edgectl.cli.signals import catch_stop_signals
 from edgectl.cli.user_files import load_inputs
+from edgectl.errors import ExitCode, UsageError
+from edgectl.model.event import EventKind
 from edgectl.names import check_known_names
+from edgectl.usecases.fleet import Fleet
 from edgectl.views.output_format import OutputFormat
 
 _POLL_INTERVAL_S = 1.0
@@ -23,8 +26,17 @@ _TaskOption = Annotated[
 ]
 
 
+_KindOption = Annotated[
+    EventKind | None, Option("--kind", metavar="KIND", help="With test: of this kind.", show_default=False)
+]
+
+
 def events_command(
     *,
+    action: Annotated[
+        Literal["test"] | None,
+        Argument(metavar="[test]", help="Run the on_event programs with an example.", show_default=False),
+    ] = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     output: options.ItemOutput = OutputFormat.TABLE,
@@ -32,22 +44,27 @@ def events_command(
     host: _HostOption = None,
     task: _TaskOption = None,
     watch: Annotated[bool, Option("--watch", "-w", help="Keep watching until Ctrl-C.")] = False,
+    kind: _KindOption = None,
 ) -> None:
     """List recent events: hosts lost and back, tasks started, moved, failed, and the actions of apply. No
     host is contacted.
 
-    Events are recorded by probe, plan, apply and watch. With -w, -o json prints one object per line.
+    Events are recorded by probe, plan, apply and watch. With -w, -o json prints one object per line. events
+    test runs each program of on_event in the inventory, and exits with 1 if one fails.
 
     Examples:
         edgectl events
         edgectl events --since 7d --task slam-robot1
         edgectl events -w -o json
+        edgectl events test --kind task-failed
     """
     from edgectl.cli.connect import build_fleet, parse_duration_option
     from edgectl.usecases.events import EventFilter, follow_events, list_events
     from edgectl.views.events import EventsView
     from edgectl.views.output_format import STREAM_FORMATS, check_output_format
 
+    if action is not None:
+        raise Exit(_test_hooks(build_fleet(load_inputs(inventory, tasks, needs_tasks=False)), kind, output))
     if watch:
         check_output_format(output, STREAM_FORMATS)
     fleet = build_fleet(load_inputs(inventory, tasks))
@@ -65,3 +82,25 @@ def events_command(
         check_known_names([host] if host else [], fleet.inventory.hosts, "host")
         check_known_names([task] if task else [], fleet.tasks.tasks, "task")
     console.print_view(EventsView(found), output)
+
+
+def _test_hooks(fleet: Fleet, kind: EventKind | None, output: OutputFormat) -> ExitCode:
+    """Run each hook once and print how it ended.
+
+    Raises:
+        UsageError: no hook would run.
+    """
+    from edgectl.usecases.event_delivery import run_hook_trials
+    from edgectl.views.hook_trials import HookTrialsView
+
+    trials = run_hook_trials(fleet, kind)
+    if not trials:
+        raise UsageError(
+            "no program of on_event wants this event"
+            if fleet.inventory.on_event
+            else "no on_event is stated",
+            hint="add on_event: [{command: [..]}] to the inventory",
+        )
+    rows = [(trial.hook, trial.failure, trial.seconds) for trial in trials]
+    console.print_view(HookTrialsView(rows), output)
+    return ExitCode.FAILED if any(trial.failure for trial in trials) else ExitCode.DONE

@@ -33,10 +33,10 @@ def explain_command(
         edgectl explain slam-robot1 --weights network -o json
     """
     from edgectl.cli.connect import build_fleet, build_offline_fleet
-    from edgectl.cli.policy_options import is_what_if, policy_from_options
+    from edgectl.cli.policy_options import policy_from_options
     from edgectl.config.documents import load_snapshot
     from edgectl.usecases.explain import compute_noise_by_host, explain_placement
-    from edgectl.usecases.plan import make_plan
+    from edgectl.usecases.plan import is_what_if, make_plan
     from edgectl.views.explanation import ExplanationView
     from edgectl.views.plan_sections import list_lost_task_notes, list_slack_notes, list_unreachable_notes
 

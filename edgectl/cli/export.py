@@ -1,7 +1,7 @@
 """export prometheus, csv and jsonl commands."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +10,8 @@ from typer import Argument, Exit, Option
 
 from edgectl.cli import console, exit_codes, options
 from edgectl.cli.extras import require_extra
-from edgectl.cli.user_files import PUBLIC_FILE_MODE, load_inputs, resolve_inventory_path, save_file
+from edgectl.cli.project import choose_files
+from edgectl.cli.user_files import PUBLIC_FILE_MODE, load_inputs, save_file
 from edgectl.errors import UsageError
 from edgectl.export.history_rows import RowKind, format_csv_lines, format_json_lines
 from edgectl.model.point import HistoryPoint
@@ -122,7 +123,7 @@ def export_jsonl_command(
 def _run_export(
     lines: Callable[[RowKind, Iterable[HistoryPoint]], Iterator[str]],
     kind: RowKind,
-    inventory: Path | None,
+    inventory: Sequence[Path] | None,
     since: str | None,
     out: Path | None,
 ) -> None:
@@ -132,7 +133,7 @@ def _run_export(
     from edgectl.usecases.export import export_history
 
     begin = time.time() - parse_duration_option(since, "--since") if since is not None else None
-    path = resolve_inventory_path(inventory)
-    state = ensure_fleet_dir(load_inventory(path).fleet, path)
+    paths = choose_files(inventory, None).inventories
+    state = ensure_fleet_dir(load_inventory(paths).fleet, paths[0])
     put = console.print_lines if out is None else partial(save_file, out)
     export_history(state, kind, lambda found: put(lines(kind, found)), since=begin, warn=print_warning)

@@ -9,13 +9,13 @@ from typing import Annotated
 from typer import Option
 
 from edgectl.cli import console, options
+from edgectl.cli.project import choose_files
 from edgectl.cli.user_files import (
     PUBLIC_FILE_MODE,
+    list_task_files,
     load_inputs,
     make_directory,
     refuse_exposed_files,
-    resolve_inventory_path,
-    resolve_task_paths,
     save_file,
 )
 from edgectl.export.job import ScheduledJob
@@ -88,20 +88,22 @@ def _write_output(text: str, out: Path | None) -> None:
         console.print_message(f"wrote {out}")
 
 
-def _build_job(inventory: Path | None, tasks: Sequence[Path] | None, every: str | None) -> ScheduledJob:
+def _build_job(
+    inventory: Sequence[Path] | None, tasks: Sequence[Path] | None, every: str | None
+) -> ScheduledJob:
     """The job for the fleet as called now; invalid files are found here, not at night."""
     from edgectl.cli.connect import parse_duration_option
     from edgectl.model.inventory import Connection
     from edgectl.state.lock import get_user_name
     from edgectl.usecases.heartbeat import list_self_fences
 
-    loaded = load_inputs(inventory, tasks)
+    loaded, chosen = load_inputs(inventory, tasks), choose_files(inventory, tasks)
     refuse_exposed_files(loaded.exposed)
     return ScheduledJob(
         name=loaded.path.stem,
         program=_find_own_command(),
-        inventory=str(resolve_inventory_path(inventory).absolute()),
-        tasks=tuple(str(path.absolute()) for path in tasks or resolve_task_paths(None)),
+        inventories=tuple(os.path.abspath(path) for path in chosen.inventories),  # noqa: PTH100
+        tasks=tuple(os.path.abspath(path) for path in chosen.tasks or list_task_files(chosen)),  # noqa: PTH100
         directory=str(Path.cwd()),
         user=get_user_name(),
         environment=_collect_job_environment(os.environ),

@@ -27,9 +27,9 @@ def graph_command(
         edgectl graph --without edge2
     """
     from edgectl.cli.connect import build_fleet, build_offline_fleet
-    from edgectl.cli.policy_options import is_what_if, policy_from_options
+    from edgectl.cli.policy_options import policy_from_options
     from edgectl.config.documents import load_snapshot
-    from edgectl.usecases.plan import make_plan
+    from edgectl.usecases.plan import is_what_if, make_plan
     from edgectl.views.graph import build_task_graph
     from edgectl.views.plan_sections import list_snapshot_notes
 

@@ -101,7 +101,7 @@ def _list_package_roots(given: list[Path]) -> list[str]:
 
 
 def _import_live(
-    names: list[str], out: Path | None, inventory: Path | None, tasks: list[Path] | None, timeout: str
+    names: list[str], out: Path | None, inventory: list[Path] | None, tasks: list[Path] | None, timeout: str
 ) -> None:
     from edgectl.cli.connect import build_fleet, parse_duration_option
     from edgectl.cli.user_files import load_inputs

@@ -3,12 +3,14 @@
 Nothing is imported here that ``edgectl --help`` does not need.
 """
 
+import itertools
 import os
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 _INTERRUPTED = 130  # ExitCode.INTERRUPTED
-_INSECURE_FILES = "--insecure-files"
+_INSECURE_FILES, _CONTEXT = "--insecure-files", "--context"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -49,20 +51,57 @@ def _run_command(words: list[str]) -> int:
     from edgectl.cli.console import guard_standard_streams
 
     code: object = 0
-    args = expand_shorthand(move_global_options(words))
+    own, others = split_global_options(words)
+    others = expand_shorthand(others)
+    if _INSECURE_FILES in own:
+        os.environ["EDGECTL_INSECURE_FILES"] = "1"
     with guard_standard_streams():
         try:
-            code = get_command(build_app(args)).main(args=args, prog_name="edgectl", standalone_mode=False)
+            command = get_command(build_app(others))
+            code = command.main(
+                args=[*own, *others],
+                prog_name="edgectl",
+                standalone_mode=False,
+                default_map=_load_option_defaults(command, others),
+            )
         except SystemExit:
             # the only exit that typer makes by itself: the reader of the help is gone
             raise BrokenPipeError from None
     return code if isinstance(code, int) else 0
 
 
-def move_global_options(words: Sequence[str]) -> list[str]:
-    """``--insecure-files``, which may stand anywhere, before the command."""
-    others = [word for word in words if word != _INSECURE_FILES]
-    return [_INSECURE_FILES, *others] if others and len(others) < len(words) else others
+def _load_option_defaults(command: Any, words: Sequence[str]) -> dict[str, Any] | None:  # noqa: ANN401
+    """Defaults of the options of a command that reads a fleet, by project and user, as click takes them."""
+    path = []
+    for word in words:
+        if word in getattr(command, "commands", ()):
+            command = command.commands[word]
+            path.append(word)
+    reads_fleet = any(parameter.name == "inventory" for parameter in command.params)
+    if not reads_fleet or "-h" in words or "--help" in words or "_EDGECTL_COMPLETE" in os.environ:
+        return None
+    from edgectl.cli.project import load_option_defaults
+
+    defaults: dict[str, Any] = load_option_defaults()
+    for name in reversed(path):
+        defaults = {name: defaults}
+    return defaults
+
+
+def split_global_options(words: Sequence[str]) -> tuple[list[str], list[str]]:
+    """``--insecure-files`` and ``--context NAME``, which may stand anywhere; and all other words."""
+    own, others = [], []
+    rest = iter(words)
+    for word in rest:
+        if word == "--":
+            others += [word, *rest]
+        elif word == _CONTEXT:
+            own += [word, *itertools.islice(rest, 1)]
+        elif word == _INSECURE_FILES or word.startswith(f"{_CONTEXT}="):
+            own.append(word)
+        else:
+            others.append(word)
+    return own, others
 
 
 def expand_shorthand(words: Sequence[str]) -> list[str]:
@@ -74,8 +113,6 @@ def expand_shorthand(words: Sequence[str]) -> list[str]:
     match list(words):
         case []:
             return ["--help"]
-        case [option, *rest] if option == _INSECURE_FILES:
-            return [option, *expand_shorthand(rest)]
         case ["help", *rest]:
             return [*rest, "--help"]
         case ["top", "-i" | "-I" | "--interactive", *rest]:

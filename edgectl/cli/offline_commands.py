@@ -7,6 +7,7 @@ from typer import Argument
 
 from edgectl.cli import console
 from edgectl.cli.options import InventoryOption, ItemOutput, Shell, TasksOption, ValidateOutput
+from edgectl.cli.project import load_settings
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import FileError
 from edgectl.views.output_format import OutputFormat
@@ -52,16 +53,28 @@ def validate_command(
     """
     from edgectl.usecases.validate import list_uneven_demands
     from edgectl.views.demands import list_demand_spread_notes
-    from edgectl.views.gitlab import render_report
     from edgectl.views.validation import ValidationView
 
     loaded = load_inputs(inventory, tasks, every_warning=True)
+    _check_settings()
     for line in list_demand_spread_notes(list_uneven_demands(loaded.inventory, loaded.tasks)):
         console.print_message(f"note: {line}")
     if output is OutputFormat.GITLAB:
+        from edgectl.views.gitlab import render_report
+
         console.print_text(render_report(()))
     elif output is not OutputFormat.GITHUB:
         console.print_view(ValidationView(loaded.inventory, loaded.tasks), output)
+
+
+def _check_settings() -> None:
+    """Check what the settings files name besides the chosen files."""
+    settings = load_settings()
+    files = [file for file in (settings.project, settings.user) if file is not None]
+    if files:
+        from edgectl.config.project_file import check_settings_files
+
+        check_settings_files(files)
 
 
 def version_command(output: ItemOutput = OutputFormat.TABLE) -> None:

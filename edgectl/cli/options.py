@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, get_origin
 from typer import Argument, Option
 
 from edgectl.cli.completion import complete_hosts, complete_tasks
+from edgectl.cli.project import PreferredOutput
 from edgectl.dataclass import dataclass
 from edgectl.model.policy import PolicyName
 from edgectl.views.output_format import (
@@ -24,17 +25,16 @@ from edgectl.views.output_format import (
     Formats,
     OutputFormat,
     check_output_format,
+    is_supported,
 )
 
 InventoryOption = Annotated[
-    Path | None,
+    list[Path] | None,
     Option(
         "--inventory",
         "-i",
         metavar="FILE",
-        envvar="EDGECTL_INVENTORY",
-        show_envvar=False,
-        help="$EDGECTL_INVENTORY, or the one in inventories/.",
+        help="Default: edgectl.yaml, else inventories/; repeatable.",
     ),
 ]
 TasksOption = Annotated[
@@ -43,9 +43,7 @@ TasksOption = Annotated[
         "--tasks",
         "-t",
         metavar="PATH",
-        envvar="EDGECTL_TASKS",
-        show_envvar=False,
-        help="$EDGECTL_TASKS, or the one in tasks/; repeatable.",
+        help="Default: edgectl.yaml, else tasks/; repeatable.",
     ),
 ]
 
@@ -54,6 +52,8 @@ def build_output_option(forms: Formats) -> object:
     """``-o`` of a command whose view offers ``forms``. Any other is a UsageError that lists them."""
 
     def form(text: str) -> OutputFormat:
+        if isinstance(text, PreferredOutput) and not is_supported(text, forms):
+            return forms[0]
         return check_output_format(text, forms)
 
     def beginning(incomplete: str) -> list[str]:
@@ -155,16 +155,31 @@ AcceptNewOption = Annotated[
     bool, Option("--accept-new", help="Trust hosts with unknown keys, as OpenSSH does.")
 ]
 
+
+def strip_host_kind(word: str) -> str:
+    """The name of a host that may be given as ``-o name`` prints it: ``edge/NAME``, ``robot/NAME``."""
+    kind, slash, name = word.partition("/")
+    return name if slash and kind in ("edge", "robot", "host") else word
+
+
 HostsArgument = Annotated[
     list[str],
     Argument(
-        metavar="HOST...", autocompletion=complete_hosts, help="Names in the inventory.", show_default=False
+        metavar="HOST...",
+        autocompletion=complete_hosts,
+        parser=strip_host_kind,
+        help="Names in the inventory.",
+        show_default=False,
     ),
 ]
 HostArgument = Annotated[
     str,
     Argument(
-        metavar="HOST", autocompletion=complete_hosts, help="Name in the inventory.", show_default=False
+        metavar="HOST",
+        autocompletion=complete_hosts,
+        parser=strip_host_kind,
+        help="Name in the inventory.",
+        show_default=False,
     ),
 ]
 
@@ -196,6 +211,9 @@ TasksArgument = Annotated[
 ]
 Shell = Literal["bash", "zsh", "fish"]
 DryRunOption = Annotated[bool, Option("--dry-run", help="Only print the exact remote commands.")]
+DryRunMarkOption = Annotated[bool, Option("--dry-run", help="Only check and print; change nothing.")]
+# After what a dry run would have done, as kubectl prints it.
+DRY_RUN_SUFFIX = " (dry run)"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -29,9 +29,9 @@ def plan_command(
         edgectl plan --without edge2 --detailed-exitcode
     """
     from edgectl.cli.connect import build_fleet, build_offline_fleet
-    from edgectl.cli.policy_options import build_plan_filter, is_what_if, policy_from_options, require_solver
+    from edgectl.cli.policy_options import build_plan_filter, policy_from_options, require_solver
     from edgectl.config.documents import load_snapshot
-    from edgectl.usecases.plan import make_plan
+    from edgectl.usecases.plan import is_what_if, make_plan
     from edgectl.views.output import render_view
     from edgectl.views.plan import PlanView
 

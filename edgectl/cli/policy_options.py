@@ -14,13 +14,12 @@ from edgectl.cli.user_files import refuse_exposed_files, select_exposed
 from edgectl.config.weights import parse_weights
 from edgectl.errors import UsageError
 from edgectl.model.plan import Plan
-from edgectl.model.policy import Policy, PolicyName, Weights
-from edgectl.model.resource import LATENCY
+from edgectl.model.policy import Policy, Weights
 from edgectl.model.task import Tasks
 from edgectl.names import check_known_names
 from edgectl.units import QuantityError
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.plan import keep_whole_plan, limit_plan_to_tasks
+from edgectl.usecases.plan import check_search, keep_whole_plan, limit_plan_to_tasks
 
 
 def policy_from_options(fleet: Fleet, given: PolicyOptions, *, attended: bool = True) -> Policy:
@@ -51,26 +50,11 @@ def require_solver(policy: Policy) -> None:
     Raises:
         UsageError: it needs a solver that is not installed, or that has nothing to solve.
     """
-    if (policy.optimal or policy.rebalance) and policy.weights[LATENCY]:
-        option = "--optimal" if policy.optimal else "--rebalance"
-        hint = "omit it, or weigh no latency; hard deadlines are kept"
-        raise UsageError(f"{option} cannot weigh latency, which is not linear in loads", hint=hint)
+    check_search(policy)
     if not policy.optimal:
         return
-    if policy.rebalance:
-        raise UsageError("--optimal finds the best plan without --rebalance", hint="pass one of the two")
-    if policy.name is not PolicyName.UTILITY:
-        raise UsageError(f"--optimal is for policy utility, not {policy.name}", hint="omit one of the two")
     with require_extra("opt"):
         import edgectl.solver.highs  # noqa: F401
-
-
-def is_what_if(fleet: Fleet, policy: Policy) -> bool:
-    """Whether a plan under ``policy`` answers a question (``--without``, ``--weights``, ..) and does not show
-    what an apply of the files would do. Such a plan is no part of the history.
-    """
-    stated = fleet.tasks.policy
-    return policy != dataclasses.replace(stated, attended=policy.attended, full=policy.full)
 
 
 def _parse_weights_option(text: str) -> Weights:

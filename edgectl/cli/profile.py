@@ -5,7 +5,8 @@ from typing import Annotated
 from typer import Exit, Option
 
 from edgectl.cli import apply_session, console, options
-from edgectl.cli.user_files import load_inputs, replace_file_text, resolve_task_paths
+from edgectl.cli.project import choose_files
+from edgectl.cli.user_files import list_task_files, load_inputs, replace_file_text
 from edgectl.errors import ExitCode
 from edgectl.names import check_known_names
 from edgectl.views.output_format import OutputFormat
@@ -41,7 +42,7 @@ def profile_command(
     from edgectl.views.profile import ProfileView, list_service_lines
 
     apply_session.check_can_confirm(asked=write and not yes, first="check first: edgectl profile TASK")
-    files = resolve_task_paths(tasks)
+    files = list_task_files(choose_files(inventory, tasks))
     fleet = build_fleet(load_inputs(inventory, files))
     check_known_names(
         [task], [*fleet.tasks.tasks, *(each.template for each in fleet.tasks.tasks.values())], "task"

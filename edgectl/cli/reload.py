@@ -5,13 +5,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from edgectl.cli.connect import build_fleet
-from edgectl.cli.user_files import (
-    LoadedInputs,
-    choose_task_paths,
-    resolve_inventory_path,
-    resolve_task_paths,
-    select_exposed,
-)
+from edgectl.cli.project import choose_files, find_project_path, get_user_file
+from edgectl.cli.user_files import LoadedInputs, list_task_files, list_task_paths, select_exposed
 from edgectl.errors import EdgectlError
 from edgectl.usecases.fleet import Fleet
 
@@ -19,7 +14,7 @@ FileStats = tuple[tuple[str, int, int, int], ...]
 
 
 def build_fleet_reloader(
-    inventory: Path | None, tasks: Sequence[Path] | None, *, accept_new: bool
+    inventory: Sequence[Path] | None, tasks: Sequence[Path] | None, *, accept_new: bool
 ) -> Callable[[], Fleet | None]:
     """A function that returns a new fleet if its files, or those of ssh, changed since the last call, else
     None.
@@ -47,25 +42,28 @@ def build_fleet_reloader(
     return refresh
 
 
-def _load_inputs_quietly(inventory: Path | None, tasks: Sequence[Path] | None) -> LoadedInputs:
+def _load_inputs_quietly(inventory: Sequence[Path] | None, tasks: Sequence[Path] | None) -> LoadedInputs:
     from edgectl.config.load import load_inventory_and_tasks
 
-    path = resolve_inventory_path(inventory)
-    fleet, work, warnings = load_inventory_and_tasks(path, choose_task_paths(tasks))
-    return LoadedInputs(inventory=fleet, tasks=work, path=path, exposed=select_exposed(warnings))
+    chosen = choose_files(inventory, tasks)
+    fleet, work, warnings = load_inventory_and_tasks(chosen.inventories, list_task_paths(chosen))
+    exposed = select_exposed(warnings)
+    return LoadedInputs(inventory=fleet, tasks=work, path=chosen.inventories[0], exposed=exposed)
 
 
 def _fingerprint_files(
-    inventory: Path | None, tasks: Sequence[Path] | None, *, accept_new: bool
+    inventory: Sequence[Path] | None, tasks: Sequence[Path] | None, *, accept_new: bool
 ) -> FileStats:
     """Names and times of the files. Keys that edgectl accepts change known_hosts; they are not a change."""
+    settings = [path for path in (find_project_path(), get_user_file()) if path is not None]
     try:
-        files = [resolve_inventory_path(inventory), *resolve_task_paths(tasks)]
+        chosen = choose_files(inventory, tasks)
+        files = [*chosen.inventories, *list_task_files(chosen)]
     except EdgectlError:
         files = []
     ssh = [Path.home() / ".ssh" / "config", *([] if accept_new else [Path.home() / ".ssh" / "known_hosts"])]
     own = os.environ.get("EDGECTL_SSH_CONFIG")
-    return tuple(_stat_files([*files, *ssh, *([Path(own)] if own else [])]))
+    return tuple(_stat_files([*files, *settings, *ssh, *([Path(own)] if own else [])]))
 
 
 def _stat_files(paths: Iterable[Path]) -> Iterable[tuple[str, int, int, int]]:

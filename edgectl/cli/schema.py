@@ -17,6 +17,8 @@ from edgectl.views.document_schema import DOCUMENT_KINDS, build_view_schema
 SCHEMAS = {
     "inventory": ("config.inventory_file", "build_inventory_schema"),
     "tasks": ("config.task_file", "build_tasks_schema"),
+    "project": ("config.project_file", "build_project_schema"),
+    "user-config": ("config.project_file", "build_user_schema"),
     "experiment": ("experiments.files.experiment_file", "build_experiment_schema"),
     "scenario": ("experiments.files.scenario_file", "build_scenario_schema"),
     "snapshot": ("formats.kinds", "SNAPSHOT_KIND.schema"),
@@ -28,7 +30,7 @@ SCHEMAS = {
 # Kind -> kind of the document that -o json prints. The experiment is a file too, and that has the name.
 DOCUMENTS = {"experiment-results" if kind == "experiment" else kind: kind for kind in DOCUMENT_KINDS}
 # Schemas of the files that a user edits.
-EDITED_KINDS = ("inventory", "tasks", "experiment", "scenario")
+EDITED_KINDS = ("inventory", "tasks", "project", "experiment", "scenario")
 
 
 def list_kinds() -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""stop and restart commands."""
+"""stop, start and restart commands."""
 
 from typing import Annotated
 
@@ -7,7 +7,8 @@ from typer import Argument, Exit, Option
 from edgectl.cli import console, exit_codes, options
 from edgectl.cli.completion import complete_tasks as task_names
 from edgectl.cli.user_files import load_inputs
-from edgectl.errors import UsageError
+from edgectl.errors import ExitCode, UsageError
+from edgectl.model.plan import Action
 from edgectl.views.output_format import OutputFormat
 
 
@@ -28,6 +29,7 @@ def stop_command(
     tasks: options.TasksOption = None,
     output: options.NamedOutput = OutputFormat.TABLE,
     yes: options.YesOption = False,
+    dry_run: options.DryRunOption = False,
     max_parallel: options.MaxParallelOption = 16,
     fail_fast: options.FailFastOption = False,
     lock_timeout: options.LockTimeoutOption = None,
@@ -38,6 +40,7 @@ def stop_command(
     Examples:
         edgectl stop slam-robot1 --yes
         edgectl stop --all --yes
+        edgectl stop slam-robot1 --dry-run
     """
     from edgectl.cli import apply_session
     from edgectl.cli.connect import build_fleet, parse_lock_timeout
@@ -46,21 +49,63 @@ def stop_command(
 
     if bool(names) == every:
         raise UsageError("name tasks, or pass --all", hint="list running tasks: edgectl status")
-    apply_session.check_can_confirm(asked=not yes)
+    asked = apply_session.check_can_confirm(asked=not (yes or dry_run))
     fleet = build_fleet(load_inputs(inventory, tasks))
-    with apply_session.open_apply_session(quiet=False, output=output, asked=not yes) as act:
+    with apply_session.open_apply_session(quiet=False, output=output, asked=asked, dry_run=dry_run) as act:
         chosen = act.options(
             lock_timeout=parse_lock_timeout(lock_timeout),
             max_parallel=max_parallel,
             fail_fast=fail_fast,
         )
         applied = stop_tasks(fleet, names or None, act.confirm, chosen)
+    if dry_run:
+        apply_session.print_requests(fleet, applied.plan, output)
     act.report(applied)
     planned = {step.task for step in applied.plan.steps}
     for name in dict.fromkeys(names or ()):
         if name not in planned:
             console.print_message(describe_absence(name, applied.plan.snapshot))
     raise Exit(exit_codes.of_named(applied, names or None))
+
+
+def start_command(
+    *,
+    names: options.TasksArgument,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    output: options.NamedOutput = OutputFormat.TABLE,
+    yes: options.YesOption = False,
+    dry_run: options.DryRunOption = False,
+    lock_timeout: options.LockTimeoutOption = None,
+) -> None:
+    """Start stopped tasks where a plan of now places them; also those that failed, completed or are done.
+
+    What runs already is left alone. Exit 4 if a task has no place.
+
+    Examples:
+        edgectl start slam-robot1 --yes
+        edgectl start slam-robot1 --dry-run
+    """
+    from edgectl.cli import apply_session
+    from edgectl.cli.connect import build_fleet, parse_lock_timeout
+    from edgectl.usecases.stop import start_tasks
+
+    asked = apply_session.check_can_confirm(asked=not (yes or dry_run))
+    loaded = load_inputs(inventory, tasks)
+    fleet = build_fleet(loaded)
+    with apply_session.open_apply_session(quiet=False, output=output, asked=asked, dry_run=dry_run) as act:
+        applied = start_tasks(
+            fleet,
+            loaded.tasks.policy,
+            names,
+            act.confirm,
+            act.options(lock_timeout=parse_lock_timeout(lock_timeout)),
+        )
+    if dry_run:
+        raise Exit(apply_session.print_requests(fleet, applied.plan, output))
+    act.report(applied)
+    without = any(step.action in (Action.UNPLACED, Action.HOLD) for step in applied.plan.steps)
+    raise Exit(exit_codes.of_named(applied, names) or (ExitCode.PARTLY if without else ExitCode.DONE))
 
 
 def restart_command(
@@ -70,6 +115,7 @@ def restart_command(
     tasks: options.TasksOption = None,
     output: options.NamedOutput = OutputFormat.TABLE,
     yes: options.YesOption = False,
+    dry_run: options.DryRunOption = False,
     lock_timeout: options.LockTimeoutOption = None,
 ) -> None:
     """Stop a task and start it again on the same host; or start one that failed for good.
@@ -82,14 +128,16 @@ def restart_command(
     from edgectl.cli.connect import build_fleet, parse_lock_timeout
     from edgectl.usecases.stop import restart_task
 
-    apply_session.check_can_confirm(asked=not yes)
+    asked = apply_session.check_can_confirm(asked=not (yes or dry_run))
     fleet = build_fleet(load_inputs(inventory, tasks))
-    with apply_session.open_apply_session(quiet=False, output=output, asked=not yes) as act:
+    with apply_session.open_apply_session(quiet=False, output=output, asked=asked, dry_run=dry_run) as act:
         applied = restart_task(
             fleet,
             task,
             act.confirm,
             act.options(lock_timeout=parse_lock_timeout(lock_timeout)),
         )
+    if dry_run:
+        raise Exit(apply_session.print_requests(fleet, applied.plan, output))
     act.report(applied)
     raise Exit(exit_codes.of_named(applied, [task]))

@@ -9,23 +9,32 @@ from stat import S_IMODE, S_ISLNK, S_ISREG
 from tempfile import mkstemp
 from typing import BinaryIO
 
+from edgectl.cli.project import (
+    INVENTORY_VARIABLE,
+    TASKS_DIRECTORY,
+    TASKS_VARIABLE,
+    ChosenFiles,
+    choose_files,
+    find_only_file,
+    is_context_given,
+    is_insecure_allowed,
+    list_yaml_files,
+    read_environment_paths,
+)
 from edgectl.dataclass import dataclass
 from edgectl.errors import FileError, InputError, Problem, UsageError
 from edgectl.model.inventory import Inventory
 from edgectl.model.task import Tasks
 
-_YAML_SUFFIXES = (".yaml", ".yml")
 PRIVATE_FILE_MODE = 0o600
 # Of files that another account has to read: node_exporter, systemd.
 PUBLIC_FILE_MODE = 0o644
-INSECURE_FILES_VARIABLE = "EDGECTL_INSECURE_FILES"
 _MAX_LINKS = 40
-_INVENTORIES_DIRECTORY, _TASKS_DIRECTORY = "inventories", "tasks"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoadedInputs:
-    """Inventory and tasks as read, and the path of the inventory.
+    """Inventory and tasks as read, and the path of the inventory, or of the first of several.
 
     ``exposed``: warnings about the files that others may write.
     """
@@ -37,35 +46,55 @@ class LoadedInputs:
 
 
 def load_inputs(
-    inventory: Path | None,
+    inventory: Sequence[Path] | None,
     tasks: Sequence[Path] | None,
     *,
     every_warning: bool = False,
     quiet: bool = False,
     needs_tasks: bool = True,
 ) -> LoadedInputs:
-    """Load both files, given or found; warnings go to stderr unless ``quiet`` or said with more detail by a
+    """Load the files, given or found; warnings go to stderr unless ``quiet`` or said with more detail by a
     plan or by ``validate`` and ``doctor``.
 
     Not ``needs_tasks``: there are no tasks if no task file is given and tasks/ does not hold exactly one.
 
     Raises:
         UsageError: none is given and none can be chosen.
-        InputError: everything that is wrong with them.
+        InputError: everything that is wrong with them, or with the settings that choose them.
     """
     from edgectl.cli.console import print_input_warnings
     from edgectl.config.load import load_inventory_and_tasks as read
     from edgectl.config.problems import ProblemCode
 
-    path = resolve_inventory_path(inventory)
-    found = _list_yaml_files(Path(_TASKS_DIRECTORY))
-    paths = choose_task_paths(tasks) if needs_tasks or tasks or len(found) == 1 else []
-    fleet, work, warnings = read(path, paths)
+    chosen = choose_files(inventory, tasks)
+    optional = not needs_tasks and not chosen.tasks
+    found = list_yaml_files(chosen.folder / TASKS_DIRECTORY) if optional else []
+    paths = [] if optional and len(found) != 1 else list_task_paths(chosen)
+    fleet, work, warnings = read(chosen.inventories, paths)
     elsewhere = (
         () if every_warning else (ProblemCode.NO_DEMAND, ProblemCode.UNNAMED_FLEET, ProblemCode.EXPOSED)
     )
     print_input_warnings(warning for warning in warnings if not quiet and warning.code not in elsewhere)
-    return LoadedInputs(inventory=fleet, tasks=work, path=path, exposed=select_exposed(warnings))
+    return LoadedInputs(
+        inventory=fleet, tasks=work, path=chosen.inventories[0], exposed=select_exposed(warnings)
+    )
+
+
+def load_named_inputs(
+    inventory: Sequence[Path] | None,
+    tasks: Sequence[Path] | None,
+    named_inventory: Path | None,
+    named_tasks: Path | None,
+) -> LoadedInputs:
+    """The same for a mission file, which names its own; options and variables come first."""
+    own_inventory = named_inventory is not None and not (
+        inventory or is_context_given() or read_environment_paths(INVENTORY_VARIABLE)
+    )
+    own_tasks = named_tasks is not None and not (tasks or read_environment_paths(TASKS_VARIABLE))
+    return load_inputs(
+        [named_inventory] if own_inventory and named_inventory else inventory,
+        [named_tasks] if own_tasks and named_tasks else tasks,
+    )
 
 
 def select_exposed(warnings: Iterable[Problem]) -> tuple[Problem, ...]:
@@ -81,53 +110,29 @@ def refuse_exposed_files(exposed: Sequence[Problem]) -> None:
     Raises:
         InputError: there are such files.
     """
-    if exposed and os.environ.get(INSECURE_FILES_VARIABLE, "0") in ("", "0"):
+    if exposed and not is_insecure_allowed():
         raise InputError([replace(warning, warning=False) for warning in exposed])
 
 
-def resolve_inventory_path(given: Path | None) -> Path:
-    """The given inventory, or the only one in inventories/."""
-    return given if given is not None else _get_only_file("inventory", _INVENTORIES_DIRECTORY, "-i")
+def list_task_paths(chosen: ChosenFiles) -> list[Path]:
+    """The named task files and directories, or the only file in tasks/ of the project."""
+    if chosen.tasks and list_task_files(chosen):
+        return list(chosen.tasks)
+    return [find_only_file("task file", chosen.folder, TASKS_DIRECTORY, "-t")]
 
 
-def choose_task_paths(given: Sequence[Path] | None) -> list[Path]:
-    """The given task files and directories, each of which holds one; or the only file in tasks/."""
-    return list(given) if given and resolve_task_paths(given) else resolve_task_paths(None)
-
-
-def resolve_task_paths(given: Sequence[Path] | None) -> list[Path]:
-    """The given task files (of a directory: all of its YAML files), or the only one in tasks/."""
-    if not given:
-        return [_get_only_file("task file", _TASKS_DIRECTORY, "-t")]
-    return [file for path in given for file in (_get_yaml_files(path) if path.is_dir() else [path])]
-
-
-def _list_yaml_files(directory: Path) -> list[Path]:
-    return sorted(path for path in directory.glob("*") if path.suffix in _YAML_SUFFIXES and path.is_file())
+def list_task_files(chosen: ChosenFiles) -> list[Path]:
+    """The named task files (of a directory: all of its YAML files), or the only one in tasks/."""
+    if not chosen.tasks:
+        return [find_only_file("task file", chosen.folder, TASKS_DIRECTORY, "-t")]
+    return [file for path in chosen.tasks for file in (_get_yaml_files(path) if path.is_dir() else [path])]
 
 
 def _get_yaml_files(directory: Path) -> list[Path]:
-    files = _list_yaml_files(directory)
+    files = list_yaml_files(directory)
     if not files:
         raise UsageError(f"no YAML file in {directory}", hint=f"name a file, or write {directory}/tasks.yaml")
     return files
-
-
-def _get_only_file(what: str, directory: str, option: str) -> Path:
-    files = _list_yaml_files(Path(directory))
-    if len(files) == 1:
-        return files[0]
-    if not files:
-        own = directory == _TASKS_DIRECTORY and _list_yaml_files(Path(_INVENTORIES_DIRECTORY))
-        raise UsageError(
-            f"no {what} given, and there is none in {directory}/",
-            hint=f"pass {option} FILE, or "
-            + (f"write {directory}/{own[0].name}" if own else "create an example fleet: edgectl init ."),
-        )
-    names = ", ".join(file.name for file in files)
-    raise UsageError(
-        f"no {what} given, and {directory}/ holds {len(files)}: {names}", hint=f"pass {option} {files[0]}"
-    )
 
 
 def save_file(path: Path, text: str | bytes | Iterable[str], *, mode: int = PRIVATE_FILE_MODE) -> None:

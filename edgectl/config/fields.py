@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from edgectl.config.node import Node, redact_node
-from edgectl.config.problems import ProblemCode, Problems
+from edgectl.config.problems import Mark, ProblemCode, Problems
 from edgectl.config.scalars import (
     INVALID,
     NodeReader,
@@ -90,6 +90,23 @@ def read_fields(
         if key not in node.value:
             problems.add(node.mark, ProblemCode.MISSING, f"{what} needs {key}", f"add {key}: ..")
     return Fields(node, values)
+
+
+def merge_keys(files: Iterable[Fields], keys: Iterable[str], problems: Problems) -> dict[str, Any]:
+    """What several files state together under ``keys``; two different statements are a mistake."""
+    stated: dict[str, Any] = {}
+    places: dict[str, Mark] = {}
+    for key, fields in ((key, fields) for fields in files for key in keys if key in fields.values):
+        place = fields.node.key_mark(key)
+        if stated.setdefault(key, fields.values[key]) != fields.values[key]:
+            problems.add(
+                place,
+                ProblemCode.TAKEN,
+                f"{key} is stated differently in {places[key].source.file}, line {places[key].line}",
+                f"keep {key} in one file, or write the same in both",
+            )
+        places.setdefault(key, place)
+    return stated
 
 
 def _report_unknown_key(

@@ -1,4 +1,4 @@
-"""Inventory file: tables of its keys, and the hosts and links that it defines."""
+"""Inventory file: tables of its keys, and readers of the hosts and links that it defines."""
 
 import os
 from collections.abc import Mapping
@@ -16,11 +16,9 @@ from edgectl.config.fields import (
     read_labels,
     record_reader,
 )
-from edgectl.config.fleet_name import derive_fleet_name
 from edgectl.config.node import Node
-from edgectl.config.problems import ProblemCode, Problems
-from edgectl.config.ros_rules import check_host_addresses
-from edgectl.config.ros_settings import build_ros_settings, read_ros, resolve_master
+from edgectl.config.problems import Mark, ProblemCode, Problems
+from edgectl.config.ros_settings import build_ros_settings, read_ros
 from edgectl.config.scalars import (
     INVALID,
     NAME_PATTERN,
@@ -43,11 +41,10 @@ from edgectl.config.schema import (
     build_mapping_schema,
     build_object_schema,
     describe_as,
+    get_reader_schema,
 )
-from edgectl.formats.digest import digest_inventory
-from edgectl.model.inventory import BaseLoad, Capacity, Connection, Host, Inventory, Limits, Role, Runtime
+from edgectl.model.inventory import BaseLoad, Capacity, Connection, Host, Limits, Role, Runtime
 from edgectl.model.resource import HOST_RESOURCES, MEASURED_HOST_RESOURCES
-from edgectl.names import natural_key
 from edgectl.units import parse_rate, parse_share
 
 MAX_HOSTS = 10_000
@@ -117,6 +114,7 @@ def _read_address(node: Node, problems: Problems) -> Any:  # noqa: ANN401
 
 DEFAULTS_KEYS: Mapping[str, NodeReader] = {
     "connection": enum_reader(Connection),
+    "transport": read_name,
     "port": integer_reader(1, 65535),
     "user": address_reader(),
     "identity_file": read_text,
@@ -149,6 +147,7 @@ INVENTORY_KEYS: Mapping[str, NodeReader] = {
     "fleet": read_name,
     "probe_links": read_bool,
     "coordination": read_coordination,
+    "on_event": keep_node,
     "defaults": keep_node,
     "edges": keep_node,
     "robots": keep_node,
@@ -158,9 +157,12 @@ INVENTORY_KEYS: Mapping[str, NodeReader] = {
 
 def build_inventory_schema() -> Schema:
     """JSON Schema of an inventory file."""
+    from edgectl.config.event_hooks import read_event_hooks
+
     schema = build_object_schema(
         INVENTORY_KEYS,
         ("version",),
+        on_event=get_reader_schema(read_event_hooks),
         defaults=build_object_schema(DEFAULTS_KEYS),
         edges=build_mapping_schema(NAME_PATTERN.pattern, build_object_schema(EDGE_KEYS)),
         robots=build_mapping_schema(NAME_PATTERN.pattern, build_object_schema(ROBOT_KEYS)),
@@ -171,65 +173,14 @@ def build_inventory_schema() -> Schema:
     )
 
 
-def read_inventory(node: Node, problems: Problems) -> Inventory:
-    """The inventory, with everything wrong noted.
-
-    Hosts that have mistakes are in it, so that tasks can refer to them.
-    """
-    top = read_fields(node, problems, INVENTORY_KEYS, required=("version",), what="an inventory")
-    defaults = _read_defaults(top.at("defaults"), problems) if "defaults" in top else {}
-    hosts: dict[str, Host] = {}
-    for key, role in (("edges", Role.EDGE), ("robots", Role.ROBOT)):
-        if key in top:
-            _read_host_entries(top.at(key), role, defaults, hosts, problems)
-    if not hosts and not problems.errors:
-        problems.add(
-            node.mark,
-            ProblemCode.MISSING,
-            "the inventory names no host",
-            "add edges: {edge1: {host: 192.168.1.20}}",
-        )
-    ordered = {key: resolve_master(hosts[key], hosts) for key in sorted(hosts, key=natural_key)}
-    for host, message in check_host_addresses(ordered):
-        problems.add(
-            top.at("edges" if host.role is Role.EDGE else "robots").key_mark(host.name),
-            ProblemCode.ROS,
-            message,
-            "state ros: {version: 1, master: HOST} and remove the variable: edgectl then derives the address",
-            warning=True,
-        )
-    links = _read_link_entries(top.at("links"), ordered, problems) if "links" in top else {}
-    fleet = top.values.get("fleet") or derive_fleet_name(Path(node.mark.source.file))
-    if "coordination" in top and "fleet" not in top:
-        problems.add(
-            node.key_mark("coordination"),
-            ProblemCode.MISSING,
-            "coordination needs fleet: every machine must know the fleet by the same name",
-            f"add fleet: {fleet}",
-        )
-    stated = Inventory(
-        hosts=ordered,
-        links=links,
-        fleet=fleet,
-        is_fleet_named="fleet" in top.values,
-        probe_links=top.values.get("probe_links", True),
-        coordination=top.values.get("coordination"),
-    )
-    # The digest is of the file alone: no path and no home of a user may change it.
-    return replace(
-        stated,
-        hosts={key: replace(_expand_identity_file(host), fleet=fleet) for key, host in ordered.items()},
-        digest=digest_inventory(stated),
-    )
-
-
-def _read_defaults(node: Node, problems: Problems) -> Mapping[str, Any]:
+def read_defaults(node: Node, problems: Problems) -> Mapping[str, Any]:
+    """What is stated for every host of a file."""
     fields = read_fields(node, problems, DEFAULTS_KEYS, what="defaults")
     _check_identity_file(fields, problems)
     return fields.values
 
 
-def _expand_identity_file(host: Host) -> Host:
+def expand_identity_file(host: Host) -> Host:
     """``~`` of the identity file expanded: after the digest, so that the same file has the same digest for
     every user.
     """
@@ -241,9 +192,15 @@ def _expand_identity_file(host: Host) -> Host:
     )
 
 
-def _read_host_entries(
-    node: Node, role: Role, defaults: Mapping[str, Any], hosts: dict[str, Host], problems: Problems
+def read_host_entries(
+    node: Node,
+    role: Role,
+    defaults: Mapping[str, Any],
+    hosts: dict[str, Host],
+    places: dict[str, Mark],
+    problems: Problems,
 ) -> None:
+    """Add the hosts of one role to ``hosts``, and where they are named to ``places``."""
     if not isinstance(node.value, dict):
         report_wrong_type(
             node,
@@ -263,13 +220,18 @@ def _read_host_entries(
     for key, inner in node.value.items():
         check_name(key, node, problems, f"{'an' if role is Role.EDGE else 'a'} {role}")
         if key in hosts:
+            first = places[key]
+            elsewhere = first.source is not node.mark.source
             problems.add(
                 node.key_mark(key),
                 ProblemCode.TAKEN,
-                f"{key} is already an edge; edges and robots share one namespace",
-                "rename one of the two",
+                f"{key} is already defined in {first.source.file}, line {first.line}"
+                if elsewhere
+                else f"{key} is already an edge; edges and robots share one namespace",
+                "rename or remove one of the two" if elsewhere else "rename one of the two",
             )
             continue
+        places[key] = node.key_mark(key)
         hosts[key] = _read_host_entry(key, role, inner, defaults, problems)
 
 
@@ -336,9 +298,10 @@ def _check_identity_file(fields: Fields, problems: Problems) -> None:
         )
 
 
-def _read_link_entries(
-    node: Node, hosts: Mapping[str, Host], problems: Problems
-) -> dict[tuple[str, str], float]:
+def read_link_entries(
+    node: Node, hosts: Mapping[str, Host], links: dict[tuple[str, str], float], problems: Problems
+) -> None:
+    """Add the declared links to ``links``."""
     if not isinstance(node.value, list):
         report_wrong_type(
             node,
@@ -346,8 +309,7 @@ def _read_link_entries(
             "links must be a list",
             "write - {edge: edge1, robot: robot1, throughput: 54Mbit/s}",
         )
-        return {}
-    links: dict[tuple[str, str], float] = {}
+        return
     for inner in node.value:
         fields = read_fields(inner, problems, LINK_KEYS, required=tuple(LINK_KEYS), what="a link")
         ends = [_find_link_host(fields, role, hosts, problems) for role in Role]
@@ -362,7 +324,6 @@ def _read_link_entries(
                 "remove one of the two",
             )
         links[pair] = fields.values["throughput"]
-    return dict(sorted(links.items(), key=lambda item: (natural_key(item[0][0]), natural_key(item[0][1]))))
 
 
 def _find_link_host(fields: Fields, role: Role, hosts: Mapping[str, Host], problems: Problems) -> str | None:

@@ -3,13 +3,13 @@
 import hashlib
 import json
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from edgectl.config.expansion import expand_templates
 from edgectl.config.fields import Fields
-from edgectl.config.inventory_file import read_inventory
+from edgectl.config.inventory_merge import read_inventories
 from edgectl.config.problems import Mark, ProblemCode, Problems, Source
 from edgectl.config.source import read_source
 from edgectl.config.task_file import TaskTemplate, merge_policy, read_templates
@@ -24,14 +24,14 @@ StrPath = str | Path
 _MAX_FILE_ID = 200
 
 
-def load_inventory(path: StrPath) -> Inventory:
-    """Load the inventory from a file.
+def load_inventory(paths: StrPath | Iterable[StrPath]) -> Inventory:
+    """Load the inventory from a file, or from several that make one fleet together.
 
     Raises:
         InputError: everything that is wrong with it.
     """
     problems = Problems()
-    inventory = _read_inventory_file(Path(path), problems)
+    inventory = _read_inventory_files(_list_paths(paths), problems)
     problems.check()
     return inventory or Inventory(hosts={})
 
@@ -51,7 +51,7 @@ def load_tasks(paths: StrPath | Iterable[StrPath], inventory: Inventory, *, base
 
 
 def load_inventory_and_tasks(
-    inventory_path: StrPath, tasks_paths: StrPath | Iterable[StrPath]
+    inventory_paths: StrPath | Iterable[StrPath], tasks_paths: StrPath | Iterable[StrPath]
 ) -> tuple[Inventory, Tasks, tuple[Problem, ...]]:
     """Load both, with the warnings.
 
@@ -59,11 +59,12 @@ def load_inventory_and_tasks(
         InputError: everything that is wrong with either.
     """
     problems = Problems()
-    inventory = _read_inventory_file(Path(inventory_path), problems)
-    tasks = _read_task_files(_list_paths(tasks_paths), inventory, problems, Path(inventory_path).parent)
+    paths = _list_paths(inventory_paths)
+    inventory = _read_inventory_files(paths, problems)
+    tasks = _read_task_files(_list_paths(tasks_paths), inventory, problems, find_task_base(paths))
     problems.check()
     if inventory is not None and not inventory.is_fleet_named:
-        _warn_of_unnamed_fleet(Path(inventory_path), inventory.fleet, problems)
+        _warn_of_unnamed_fleet(paths[0], inventory.fleet, problems)
     return inventory or Inventory(hosts={}), tasks, problems.warnings
 
 
@@ -77,10 +78,23 @@ def _list_paths(paths: StrPath | Iterable[StrPath]) -> list[Path]:
     return [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
 
 
-def _read_inventory_file(path: Path, problems: Problems) -> Inventory | None:
-    source = read_source(path, problems)
-    node = parse_yaml(source, problems) if source is not None else None
-    return None if node is None else read_inventory(node, problems)
+def find_task_base(inventories: Sequence[Path]) -> Path:
+    """The directory relative to which task files are identified: that of the inventory, or the one that
+    several have in common.
+    """
+    if len(inventories) == 1:
+        return inventories[0].parent
+    return Path(os.path.commonpath([path.resolve().parent for path in inventories]))
+
+
+def _read_inventory_files(paths: Sequence[Path], problems: Problems) -> Inventory | None:
+    """The inventory of all files; None if one of them cannot be read."""
+    nodes = []
+    for path in dict.fromkeys(paths):
+        source = read_source(path, problems)
+        nodes.append(parse_yaml(source, problems) if source is not None else None)
+    found = [node for node in nodes if node is not None]
+    return read_inventories(found, problems) if found and len(found) == len(nodes) else None
 
 
 def _read_task_files(paths: list[Path], inventory: Inventory | None, problems: Problems, base: Path) -> Tasks:

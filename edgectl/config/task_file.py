@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from edgectl.config.check_readers import check_reader, read_alive
 from edgectl.config.demand_readers import read_demand
@@ -10,6 +9,7 @@ from edgectl.config.fields import (
     Fields,
     keep_node,
     list_reader_with_nodes,
+    merge_keys,
     read_argument_vector,
     read_environment,
     read_fields,
@@ -198,17 +198,5 @@ def read_templates(
 
 def merge_policy(files: list[Fields], problems: Problems) -> Policy:
     """The policy that the files state together; stating a key twice differently is a mistake."""
-    stated: dict[str, Any] = {}
-    for fields in files:
-        for key in POLICY_KEYS:
-            if key not in fields.values:
-                continue
-            if key in stated and stated[key] != fields.values[key]:
-                problems.add(
-                    fields.node.key_mark(key),
-                    ProblemCode.TAKEN,
-                    f"{key} is stated differently in another file",
-                    f"keep {key} in one file",
-                )
-            stated[key] = fields.values[key]
+    stated = merge_keys(files, POLICY_KEYS, problems)
     return Policy(**({"name": stated.pop("policy")} if "policy" in stated else {}), **stated)

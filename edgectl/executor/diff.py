@@ -61,9 +61,12 @@ def diff_assignment(
         tasks,
         found,
     )
-    steps = tuple(replace(step, standbys=assignment.standbys.get(step.task, ())) for step in steps)
-    others = _list_tasks_left_alone(assignment.policy, tasks, snapshot, manager)
+    if assignment.standbys:
+        steps = tuple(replace(step, standbys=assignment.standbys.get(step.task, ())) for step in steps)
     copies = _collect_standbys(snapshot)
+    if found.keys() <= tasks.tasks.keys() and copies.keys() <= tasks.tasks.keys():
+        return steps
+    others = _list_tasks_left_alone(assignment.policy, tasks, snapshot, manager)
     left = sorted((found.keys() | copies.keys()) - tasks.tasks.keys() - others.keys(), key=natural_key)
     return (
         *steps,
@@ -80,6 +83,8 @@ def _follow_needs(
     """``steps``, in sequence order, with a restart for each kept task whose predecessor is restarted here,
     or was since the task was started (``restart: with``).
     """
+    if not any(need.restart is not None for task in tasks.tasks.values() for need in task.needs):
+        return tuple(steps)
     marks, followed = _mark_runs(steps, found), dict[str, Step]()
     for step in steps:
         task = tasks.tasks.get(step.task)
@@ -161,6 +166,8 @@ def _collect_managed_tasks(snapshot: Snapshot) -> dict[str, dict[str, TaskSample
 def _collect_standbys(snapshot: Snapshot) -> dict[str, dict[str, TaskSample]]:
     """Every living copy on a reachable host, by task and host in natural order."""
     found: dict[str, dict[str, TaskSample]] = {}
+    if not any(sample.standbys for sample in snapshot.hosts.values()):
+        return found
     for host in sorted(snapshot.hosts, key=natural_key):
         sample = snapshot.hosts[host]
         for name, copy in sample.standbys.items() if sample.ok else ():

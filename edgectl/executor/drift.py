@@ -28,6 +28,8 @@ def list_drift(plan: Plan, snapshot: Snapshot, manager: ManagerState) -> tuple[s
 def _list_mark_drift(before: ManagerState, now: ManagerState) -> Iterator[str]:
     if (before.cordons, before.draining) != (now.cordons, now.draining):
         yield "the cordoned hosts changed"
+    if before.pins != now.pins:
+        yield "the pinned tasks changed"
     if before.done != now.done:
         yield "the tasks marked done changed"
 

@@ -105,6 +105,7 @@ def update_manager_state(
         stays=_collect_stays(manager, results, now),
         deferred=_collect_deferrals(manager, plan, results),
         synced=_compute_synced_grants(manager, plan.snapshot, placements, tasks),
+        pins={name: pin for name, pin in manager.pins.items() if pin.is_active(now)},
     )
 
 

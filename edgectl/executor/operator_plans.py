@@ -7,7 +7,7 @@ from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan, Step
-from edgectl.model.snapshot import HostSample, Snapshot
+from edgectl.model.snapshot import HostSample, Snapshot, TaskState
 from edgectl.model.standby_plan import StandbyReason, stop_copies
 from edgectl.model.task import Tasks
 from edgectl.rules.lost_places import build_lost_place_decision, list_lost_tasks
@@ -94,16 +94,22 @@ def build_restart_plan(name: str, inventory: Inventory, tasks: Tasks, snapshot: 
     )
 
 
-def drop_given_up_runs(name: str, snapshot: Snapshot) -> Snapshot:
-    """``snapshot`` without the runs of a task that were given up; their generations stay known."""
+def drop_given_up_runs(name: str, snapshot: Snapshot, *, completed: bool = False) -> Snapshot:
+    """``snapshot`` without the runs of a task that were given up, and ``completed`` ones too where that is
+    asked for; their generations stay known.
+    """
     return dataclasses.replace(
-        snapshot, hosts={host: _drop_given_up_run(name, sample) for host, sample in snapshot.hosts.items()}
+        snapshot,
+        hosts={
+            host: _drop_given_up_run(name, sample, completed=completed)
+            for host, sample in snapshot.hosts.items()
+        },
     )
 
 
-def _drop_given_up_run(name: str, sample: HostSample) -> HostSample:
+def _drop_given_up_run(name: str, sample: HostSample, *, completed: bool) -> HostSample:
     run = sample.instances.get(name)
-    if run is None or not run.given_up:
+    if run is None or not (run.given_up or (completed and run.state is TaskState.COMPLETED)):
         return sample
     return dataclasses.replace(
         sample,

@@ -100,6 +100,7 @@ def _adopt_recorded_state(manager: ManagerState, snapshot: Snapshot) -> ManagerS
         placements=placements,
         cordons=recorded.cordons,
         draining=recorded.draining,
+        pins=recorded.pins,
         done=recorded.done,
         measured=recorded.measured,
         downtimes=recorded.downtimes,

@@ -10,7 +10,7 @@ from typing import Any
 
 import simpy
 
-from edgectl.executor.diff import plan_from_assignment
+from edgectl.executor.diff import diff_assignment
 from edgectl.experiments.model.mission_event import select_present_tasks
 from edgectl.experiments.model.scenario import Scenario, SimJob, SimRun
 from edgectl.experiments.simulator_events import start_events
@@ -30,7 +30,7 @@ from edgectl.experiments.simulator_state import (
 )
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import Placement
-from edgectl.model.plan import Action, Plan, Step
+from edgectl.model.plan import Action, Step
 from edgectl.model.policy import Policy
 from edgectl.model.task import Task, Tasks
 from edgectl.scheduler.assign import assign
@@ -135,6 +135,7 @@ def _run_job(
     del state.working[job.name]
     ends[job.name] = state.env.now
     state.left[job.task] -= 1
+    state.samples.clear()
     if state.scenario.links or state.scenario.events:
         integrate_loads(state)
         state.done.add(job.name)
@@ -145,18 +146,20 @@ def _run_manager(state: SimState) -> Generator[Any, Any, None]:
     """The manager's endless loop: probe, plan, apply, wait."""
     while True:
         plan = _plan_cycle(state)
-        state.unplaced += plan.summary.get(Action.UNPLACED, 0)
-        steps = [step for step in plan.steps if step.action.changes]
+        state.unplaced += sum(step.action is Action.UNPLACED for step in plan)
+        steps = [step for step in plan if step.action.changes]
         state.starting = {step.task for step in steps if step.decision.host is not None}
         actions = [state.env.process(_run_step(state, step)) for step in steps]
         yield simpy.AllOf(state.env, actions)
         yield state.env.timeout(state.scenario.timing.every)
 
 
-def _plan_cycle(state: SimState) -> Plan:
+def _plan_cycle(state: SimState) -> tuple[Step, ...]:
     snapshot = simulate_probe(state)
-    assignment = assign(state.inventory, state.tasks, snapshot, state.manager, state.policy, state.env.now)
-    return plan_from_assignment(state.inventory, state.tasks, snapshot, state.manager, assignment)
+    assignment = assign(
+        state.inventory, state.tasks, snapshot, state.manager, state.policy, state.env.now, explain=False
+    )
+    return diff_assignment(assignment, state.tasks, snapshot, state.manager)
 
 
 def _run_step(state: SimState, step: Step) -> Generator[Any, Any, None]:

@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 from edgectl.experiments.simulator_state import (
+    SimSample,
     SimState,
     SimTask,
     compute_demand_bytes,
@@ -83,19 +84,34 @@ def _probe_link(state: SimState, edge: str, robot: str) -> LinkSampleResult:
 
 def _simulate_host_sample(state: SimState, host: str) -> HostSample:
     machine, role = state.scenario.hosts[host], state.inventory.hosts[host].role
-    cpu, memory, _ = compute_host_load(state, host)
+    sample = state.samples.get(host)
+    if sample is None:
+        sample = state.samples[host] = _build_sample(state, host)
     noise = state.draw_normal() * state.scenario.timing.noise * machine.cores
     if host in state.overlay.lost:
         return HostSample(role=role, status=HostStatus.UNREACHABLE, error="lost")
-    services = {name: service for name, service in state.services.items() if service.host == host}
-    robots = [robot.name for robot in state.inventory.robots] if role is Role.EDGE else []
+    used = min(machine.cores, max(0.0, sample.cpu + noise))
     return HostSample(
         role=role,
         status=HostStatus.OK,
         usage={
-            CPU.name: ResourceUsage(capacity=machine.cores, used=min(machine.cores, max(0.0, cpu + noise))),
-            MEMORY.name: ResourceUsage(capacity=machine.memory, used=memory),
+            CPU.name: ResourceUsage(capacity=machine.cores, used=used),
+            MEMORY.name: ResourceUsage(capacity=machine.memory, used=sample.memory),
         },
+        links=sample.links,
+        tasks=sample.tasks,
+    )
+
+
+def _build_sample(state: SimState, host: str) -> SimSample:
+    """What the probe shows until something changes."""
+    cpu, memory, _ = compute_host_load(state, host)
+    services = {name: service for name, service in state.services.items() if service.host == host}
+    on_edge = state.inventory.hosts[host].role is Role.EDGE
+    robots = [robot.name for robot in state.inventory.robots] if on_edge else []
+    return SimSample(
+        cpu=cpu,
+        memory=memory,
         links={
             robot: LinkSample(
                 capacity_bytes_per_s=get_nominal_bytes_per_s(state, host, robot),

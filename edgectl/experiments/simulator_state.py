@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import simpy
 
@@ -13,6 +14,7 @@ from edgectl.model.link_reading import LinkHistory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy, PolicyName
 from edgectl.model.resource import CPU, MEMORY, NETWORK
+from edgectl.model.snapshot import LinkSample, TaskSample
 from edgectl.model.task import Task, Tasks
 
 
@@ -90,6 +92,15 @@ class SimWork:
     speed: float = 0.0
 
 
+class SimSample(NamedTuple):
+    """What a probe of one host shows: cores and bytes in use, and samples of links and tasks."""
+
+    cpu: float
+    memory: float
+    links: Mapping[str, LinkSample]
+    tasks: Mapping[str, TaskSample]
+
+
 @dataclass(slots=True, kw_only=True)
 class SimState:
     """The mutable state of one run.
@@ -101,7 +112,8 @@ class SimState:
     relative demands. ``tasks``: those that have entered, of ``all_tasks``. ``starting``: tasks that a step of
     the plan is about to start. ``happening``: events of which the change holds, by name, as ``overlay`` has
     them; ``happened``: all that ever did. ``working``: jobs in progress; ``robot_work`` and ``robot_done``:
-    work by robot, in s, of all its jobs and of those parts of them that are done.
+    work by robot, in s, of all its jobs and of those parts of them that are done. ``samples``: what a probe
+    of each host shows until the next change, but for noise.
     """
 
     env: simpy.Environment
@@ -134,6 +146,7 @@ class SimState:
     working: dict[str, SimWork] = field(default_factory=dict)
     robot_work: dict[str, float] = field(default_factory=dict)
     robot_done: dict[str, float] = field(default_factory=dict)
+    samples: dict[str, SimSample] = field(default_factory=dict)
 
 
 def list_external_placements(state: SimState) -> Iterable[tuple[str, str]]:
@@ -147,8 +160,8 @@ def list_external_placements(state: SimState) -> Iterable[tuple[str, str]]:
 def update_speeds(state: SimState) -> None:
     """Recompute all speeds. Before a service changes, `integrate_loads` has to meter the time until then."""
     state.cores, state.rates, state.speeds = {}, {}, {}
-    for host in state.scenario.hosts:
-        services = {name: service for name, service in state.services.items() if service.host == host}
+    state.samples.clear()
+    for host, services in _group_services(state).items():
         _share_host_resources(state, host, services)
     for name, service in state.services.items():
         demand = _compute_demand_cores(state, service)
@@ -159,6 +172,14 @@ def update_speeds(state: SimState) -> None:
         ]
         state.speeds[name] = min(shares, default=1.0) if service.ready else 0.0
     notify_change(state)
+
+
+def _group_services(state: SimState) -> dict[str, dict[str, SimTask]]:
+    """The services of each host that has some, in the order of the hosts."""
+    found: dict[str, dict[str, SimTask]] = {host: {} for host in state.scenario.hosts}
+    for name, service in state.services.items():
+        found[service.host][name] = service
+    return {host: services for host, services in found.items() if services}
 
 
 def notify_change(state: SimState) -> None:
@@ -178,24 +199,19 @@ def _share_host_resources(state: SimState, host: str, services: Mapping[str, Sim
     shares_by_name = compute_fair_shares(
         machine.cores, {**demands, **others, _BASE_LOAD_NAME: machine.base_cores}
     )
-    state.cores |= {name: shares_by_name[name] for name in demands}
-    state.rates |= {name: {} for name in services}
-    for robot in dict.fromkeys(
-        robot for service in services.values() for robot in _list_remote_robots(state, service)
-    ):
+    state.cores.update((name, shares_by_name[name]) for name in demands)
+    state.rates.update((name, {}) for name in services)
+    if state.inventory.hosts[host].role is Role.ROBOT:
+        return  # a task on a robot needs no link
+    for robot in dict.fromkeys(robot for service in services.values() for robot in service.task.robots):
         rates = {
             name: _compute_demand_bytes_per_s(state, service, robot)
             for name, service in services.items()
-            if service.ready and robot in _list_remote_robots(state, service)
+            if service.ready and robot in service.task.robots
         }
         for name, rate in compute_fair_shares(get_link_bytes_per_s(state, host, robot), rates).items():
             if rates[name] > 0:
                 state.rates[name][robot] = rate
-
-
-def _list_remote_robots(state: SimState, service: SimTask) -> tuple[str, ...]:
-    """Robots that the task reaches over a link; none for a task on a robot."""
-    return () if state.inventory.hosts[service.host].role is Role.ROBOT else service.task.robots
 
 
 def get_nominal_bytes_per_s(state: SimState, host: str, robot: str) -> float:

@@ -22,7 +22,7 @@ def format_crontab(job: ScheduledJob) -> str:
     check_self_fence(job, every)
     line = f"{format_cron_schedule(every)} {format_cron_command(job)}"
     return (
-        f"# edgectl apply for {job.inventory}, every {format_interval(every)}.\n"
+        f"# edgectl apply for {', '.join(job.inventories)}, every {format_interval(every)}.\n"
         "# Install: (crontab -l; edgectl export cron ..) | crontab -      Remove: crontab -e\n"
         "# cron mails the output: changes and failures. Without changes there is no output. Put\n"
         "# MAILTO=you@example.org above the line; for a file instead, append to the line: >> "

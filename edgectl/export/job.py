@@ -20,7 +20,7 @@ class ScheduledJob:
 
     name: str
     program: tuple[str, ...]
-    inventory: str
+    inventories: tuple[str, ...]
     tasks: tuple[str, ...]
     directory: str
     user: str
@@ -36,7 +36,10 @@ def build_arguments(job: ScheduledJob, *command: str) -> tuple[str, ...]:
     Raises:
         UsageError: a path or a variable has characters that crontabs and units do not quote alike.
     """
-    files = ("-i", job.inventory, *(word for path in job.tasks for word in ("-t", path)))
+    files = (
+        *(word for path in job.inventories for word in ("-i", path)),
+        *(word for path in job.tasks for word in ("-t", path)),
+    )
     for text in (*job.program, *files, job.directory, *job.environment.values()):
         if not text.isprintable() or "\\" in text or text != text.strip():
             raise UsageError(

@@ -37,7 +37,7 @@ def build_timer_units(job: ScheduledJob, *, user: bool) -> dict[str, str]:
     """
     every = _check_interval(_DEFAULT_INTERVAL_S if job.every_s is None else job.every_s)
     check_self_fence(job, every)
-    name, title = build_unit_name(job), f"edgectl apply for {job.inventory}"
+    name, title = build_unit_name(job), f"edgectl apply for {', '.join(job.inventories)}"
     service = [
         *_build_unit_section(title, user=user),
         "[Service]",
@@ -77,7 +77,7 @@ def build_watch_unit(job: ScheduledJob, *, user: bool) -> dict[str, str]:
         else ("watch", "--apply", "--every", f"{_check_interval(job.every_s):.12g}s")
     )
     service = [
-        *_build_unit_section(f"edgectl watch for {job.inventory}", user=user),
+        *_build_unit_section(f"edgectl watch for {', '.join(job.inventories)}", user=user),
         "[Service]",
         "Type=exec",
         "# An invalid call or file (64) is not retried: somebody has to correct it.",

@@ -21,11 +21,19 @@ def find_task_host(
 
     Of several the youngest instance counts.
     """
+    host, entry, silent = find_task_process(task, inventory, transport, timeout=timeout)
+    return host, entry is not None and entry.state.alive, silent
+
+
+def find_task_process(
+    task: str, inventory: Inventory, transport: Transport, *, timeout: float
+) -> tuple[Host | None, TaskReply | None, tuple[str, ...]]:
+    """As ``find_task_host``, with what the host reports of the task."""
     answers = _ask_task_status(task, inventory, transport, timeout)
     known = {name: entry for name, entry in answers.items() if isinstance(entry, TaskReply)}
     best = min(known, key=lambda name: _rank_status(known[name]), default=None)
-    host, alive = (inventory.hosts[best], known[best].state.alive) if best else (None, False)
-    return host, alive, _list_unanswered(answers)
+    host, entry = (inventory.hosts[best], known[best]) if best else (None, None)
+    return host, entry, _list_unanswered(answers)
 
 
 def list_ended_instances(

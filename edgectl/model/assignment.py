@@ -9,7 +9,7 @@ from enum import StrEnum
 from typing import Annotated
 
 from edgectl.dataclass import dataclass
-from edgectl.model.encoding import Bounds, Positive, Signed, SignedInt, in_document
+from edgectl.model.encoding import Bounds, Instant, Positive, Signed, SignedInt, in_document
 from edgectl.model.policy import Policy
 from edgectl.model.predicted_latency import PredictedLatency
 from edgectl.model.resource import LATENCY, TERMS, Resource, ResourceMap, Usage
@@ -35,6 +35,7 @@ class RejectionRule(StrEnum):
     TOGETHER = "together"
     SPREAD = "spread"
     DEADLINE_MISSED = "deadline-missed"
+    NOT_LISTED = "not-in-inventory"
 
 
 class DemandSource(StrEnum):
@@ -183,6 +184,7 @@ class Reason(StrEnum):
     FULLEST = "fullest"
     IN_TURN = "in-turn"
     DRAWN = "drawn"
+    PINNED_BY_OPERATOR = "pinned-by-operator"
     FIRST_PLACEMENT = "first-placement"
     ONBOARD_LOCAL = "local-execution"
     GAIN = "gain-above-margin"
@@ -255,6 +257,18 @@ _WRITTEN = in_document(always=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class OperatorPin:
+    """The pin of ``edgectl move`` in one decision: to ``host``, ``until`` s since 1970 (None: no end).
+
+    ``set_aside``: why it does not count now, and the task is placed as if it had none.
+    """
+
+    host: str
+    until: Instant | None = field(default=None, metadata=in_document("pinned_until"))
+    set_aside: RejectionRule | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Decision:
     """The verdict on one task.
 
@@ -264,7 +278,7 @@ class Decision:
     seconds until a held task may be replaced, exit code of a task that was given up). ``cost`` is what a move
     was weighed against, where downtimes are measured. ``nearest`` is the nearest miss of an unplaced task.
     ``rejection_counts`` counts the hosts that a shortened ranking left out, by rule. ``demand`` is rho on
-    ``host`` (unplaced: on the nearest miss), empty where nothing was weighed.
+    ``host`` (unplaced: on the nearest miss), empty where nothing was weighed. ``pin``: of an operator.
     """
 
     task: str
@@ -283,6 +297,7 @@ class Decision:
     ranking: Sequence[RankedHost] = field(default=(), metadata=in_document(required=True))
     rejection_counts: Mapping[str, int] = field(default_factory=dict)
     demand: Sequence[ResourceDemand] = field(default=(), metadata=in_document(keyed_by="resource"))
+    pin: OperatorPin | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

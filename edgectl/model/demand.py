@@ -1,4 +1,4 @@
-"""What a task demands of each resource."""
+"""Demand of a task for each resource."""
 
 from math import inf
 

@@ -1,5 +1,7 @@
 """Events of the fleet, one line each."""
 
+from collections.abc import Mapping
+from dataclasses import field
 from enum import StrEnum
 
 from edgectl.dataclass import dataclass
@@ -46,3 +48,38 @@ class Event:
     task: str | None = None
     message: str = ""
     id: int = 0
+
+
+# What a person should look at, and that it is well again.
+DEFAULT_HOOK_KINDS = (
+    EventKind.HOST_LOST,
+    EventKind.HOST_BACK,
+    EventKind.LINK_DOWN,
+    EventKind.TASK_FAILED,
+    EventKind.TASK_CRASHLOOP,
+    EventKind.TASK_UNHEALTHY,
+    EventKind.TASK_LOST,
+    EventKind.TASK_UNPLACED,
+    EventKind.ACTION_FAILED,
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EventHook:
+    """An entry of ``on_event``: a program that is told of events of ``kinds`` (ADR 0069).
+
+    ``command`` is an argument vector; else ``notifier`` names a plugin, which receives ``options``. It is
+    ended after ``timeout`` s, and started at most once in ``every`` s; events in between come together.
+    """
+
+    command: tuple[str, ...] = ()
+    notifier: str = ""
+    options: Mapping[str, str] = field(default_factory=dict)
+    kinds: tuple[EventKind, ...] = DEFAULT_HOOK_KINDS
+    timeout: float = 10.0
+    every: float = 10.0
+
+    @property
+    def subject(self) -> str:
+        """The hook in a message."""
+        return f"on_event {self.command[0] if self.command else f'notifier {self.notifier}'}"

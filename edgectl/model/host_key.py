@@ -1,4 +1,4 @@
-"""What a host shows as its SSH host key, beside what is known of it."""
+"""SSH host key that a host shows, beside what is known of it."""
 
 from edgectl.dataclass import dataclass
 

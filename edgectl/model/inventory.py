@@ -3,10 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import field
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 from edgectl.dataclass import dataclass
 from edgectl.model.resource import HOST_RESOURCES, MEASURED_HOST_RESOURCES, ResourceMap
 from edgectl.model.ros import RosSettings
+
+if TYPE_CHECKING:  # few inventories have any
+    from edgectl.model.event import EventHook
 
 # Fleet of hosts that no inventory file states.
 UNNAMED_FLEET = "unnamed"
@@ -70,7 +74,8 @@ class Host:
     the host a slice: its load is ``base`` plus its own process trees. ``onboard`` (robots) makes the robot a
     candidate for its own tasks; ``probe: false`` means that it is never contacted. ``password_command`` is an
     argument vector whose first line of output is the password; ``env_command`` one that prints secrets for
-    the environment as lines NAME=value.
+    the environment as lines NAME=value. ``transport`` names a plugin that connects, instead of
+    ``connection``.
     """
 
     name: str
@@ -94,6 +99,7 @@ class Host:
     probe: bool = True
     ros: RosSettings | None = None
     fleet: str = UNNAMED_FLEET
+    transport: str = ""
 
     @property
     def address(self) -> str:
@@ -141,7 +147,7 @@ class Inventory:
     ``hosts`` in natural order of names; ``links`` holds declared throughput in bytes/s by (edge, robot).
     ``fleet`` is the stated name, else one derived from the path of the file (``is_fleet_named`` tells which).
     ``probe_links``: idle links may be probed by sending for a moment (ADR 0077). ``coordination``: None where
-    the hosts alone grant the fleet.
+    the hosts alone grant the fleet. ``on_event``: programs that are told of events.
     """
 
     hosts: Mapping[str, Host]
@@ -151,6 +157,7 @@ class Inventory:
     is_fleet_named: bool = False
     probe_links: bool = True
     coordination: Coordination | None = None
+    on_event: "tuple[EventHook, ...]" = ()
 
     @property
     def edges(self) -> tuple[Host, ...]:

@@ -30,6 +30,24 @@ class Placement:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Pin:
+    """The mark of ``edgectl move``: a task belongs on ``host`` from ``since`` on (ADR 140).
+
+    ``until``: when it ends (s since 1970); None: with ``edgectl unpin``. ``machine``: of the host, as in its
+    sample, by which it is found under a new name.
+    """
+
+    host: str
+    since: Instant
+    until: Instant | None = field(default=None, metadata=in_document("pinned_until"))
+    machine: str = ""
+
+    def is_active(self, now: float) -> bool:
+        """Whether it holds at ``now`` (s since 1970)."""
+        return self.until is None or now < self.until
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredDemand:
     """Usage of one task on one class of hosts: p95 of the newest samples by resource.
 
@@ -58,7 +76,8 @@ class ManagerState:
     task and class of host, of the tasks whose demand is not all declared. ``orphans``: by host, the tasks
     that had no supervisor there when it last answered. ``synced``: by host, the number of its grant when this
     manager last saw all hosts and noted what runs where. ``noise``: standard deviation of the readings by
-    host and resource, as a share of the capacity, where it is high enough to widen the slack.
+    host and resource, as a share of the capacity, where it is high enough to widen the slack. ``pins``: the
+    host of each task that an operator has moved by hand, also after their end.
     """
 
     managed: bool = field(default=False, metadata=_WRITTEN)
@@ -81,3 +100,4 @@ class ManagerState:
     orphans: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     synced: Mapping[str, int] = field(default_factory=dict)
     noise: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    pins: Mapping[str, Pin] = field(default_factory=dict)

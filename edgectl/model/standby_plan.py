@@ -1,4 +1,4 @@
-"""What a plan does with the inactive copies of a task."""
+"""Decisions of a plan about the inactive copies of a task."""
 
 from collections.abc import Mapping
 from dataclasses import field

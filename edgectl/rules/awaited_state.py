@@ -1,4 +1,4 @@
-"""Whether a task has come as far as a person or a script waits for."""
+"""State of a task that a person or a script waits for."""
 
 from enum import StrEnum
 

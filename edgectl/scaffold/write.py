@@ -21,6 +21,7 @@ MISSION_FILES = (
 )
 SCAFFOLD_FILES = (
     "README.md",
+    "edgectl.yaml",
     "inventories/local.yaml",
     "tasks/demo.yaml",
     "tasks/workload.py",
@@ -30,6 +31,7 @@ SCAFFOLD_FILES = (
 
 # Files that a user edits -> the kind of their schema.
 _KINDS = {
+    "edgectl.yaml": "project",
     "inventories/local.yaml": "inventory",
     "tasks/demo.yaml": "tasks",
     "tasks/patrol/fleet.yaml": "inventory",

@@ -21,6 +21,7 @@ from edgectl.scheduler.garbage import pause_collection
 from edgectl.scheduler.initial_state import InitialState, build_initial_state
 from edgectl.scheduler.integer_program import Solver
 from edgectl.scheduler.move_cost import collect_handoff_history
+from edgectl.scheduler.operator_pins import explain_pins, pin_tasks, resolve_pins
 from edgectl.scheduler.placement_rules import NO_RULES, build_placement_rules
 from edgectl.scheduler.policies import POLICIES
 from edgectl.scheduler.preference import sign_weights
@@ -48,18 +49,21 @@ def assign(
     policy: Policy,
     now: float,
     solve: Solver | None = None,
+    *,
+    explain: bool = True,
 ) -> Assignment:
     """A host, numbers and a reason for each task, in sequence order (Section IV of the paper).
 
     ``now``: seconds since 1970, on the clock of ``snapshot.taken_at``. ``solve``: look for the best plan with
-    it, if the policy settles plans, and certify how good it is (ADR 71).
+    it, if the policy settles plans, and certify how good it is (ADR 71). Without ``explain`` the places are
+    the same, and the numbers and warnings are left out (ADR 134).
 
     Raises:
         ValueError: the tasks' needs form a cycle, or the weights are not usable (validation of the files
             finds both).
     """
     with pause_collection():
-        return _assign(inventory, tasks, snapshot, manager, policy, now, solve)
+        return _assign(inventory, tasks, snapshot, manager, policy, now, solve, explain=explain)
 
 
 def _assign(
@@ -70,6 +74,8 @@ def _assign(
     policy: Policy,
     now: float,
     solve: Solver | None,
+    *,
+    explain: bool,
 ) -> Assignment:
     rules = POLICIES[policy.name]
     used = replace(policy, weights=(rules.weights or policy.weights).normalised())
@@ -78,7 +84,13 @@ def _assign(
     if not rules.strict_paper:
         state = reserve_running_tasks(state, tasks)
         fleet = state.ledger.fleet
-    order = order_tasks(tasks.tasks.values(), used.sequence)
+    pins = (
+        resolve_pins(tasks, manager, fleet, state, now, best_effort=used.best_effort)
+        if rules.follows_pins
+        else {}
+    )
+    unpinned = order_tasks(tasks.tasks.values(), used.sequence)
+    order = pin_tasks(unpinned, pins)
     context = AssignmentContext(
         arrays=_load_array_scan(fleet, tasks, used),
         fleet=fleet,
@@ -96,6 +108,7 @@ def _assign(
         order=order,
         rules=rules,
         initial=state,
+        explain=explain,
     )
     certificate, made = None, how
     if not rules.settles:
@@ -106,18 +119,20 @@ def _assign(
         if solve is not None:
             found, certificate = find_best_plan(how, known, solve)
         outcome, settled = found.outcome, found.settled
+    # A pin is about the task itself: its copies wait wherever its file lets them.
+    made = replace(made, order=unpinned) if pins else made
     standbys, expected = place_standbys(made, outcome)
     used_places = {place for place, _ in outcome.placed.values()}
     return Assignment(
         policy=used,
-        decisions=outcome.decisions,
-        expected=expected.expected(used_places.union(*(each.places for each in standbys))),
+        decisions=explain_pins(outcome.decisions, pins),
+        expected=expected.expected(used_places.union(*(each.places for each in standbys))) if explain else {},
         standbys=build_standby_steps(made, standbys, expected),
         settled=settled,
         frozen=state.frozen,
         unseen=state.unseen,
-        demand_spreads=find_demand_spreads(fleet, tasks),
-        shortages=compute_shortages(state, tasks),
+        demand_spreads=find_demand_spreads(fleet, tasks) if explain else (),
+        shortages=compute_shortages(state, tasks) if explain else (),
         certificate=certificate,
     )
 

@@ -41,6 +41,20 @@ def unplaced_decision(task: Task, choice: Choice) -> Decision:
     return Decision(task=task.name, verdict=choice.verdict, reason=choice.reason, subject=choice.subject)
 
 
+def build_plain_decision(
+    fleet: Capacities, task: Task, choice: Choice, initial_place: int | None
+) -> Decision:
+    """A decision without its numbers: verdict, reason and hosts."""
+    return Decision(
+        task=task.name,
+        verdict=choice.verdict,
+        reason=choice.reason,
+        host=_get_place_name(fleet, choice.place),
+        previous_host=_get_place_name(fleet, initial_place),
+        subject=choice.subject,
+    )
+
+
 def explain_replacement(decision: Decision, silent: str | None) -> Decision:
     """The decision, adjusted for a task replaced from the unreachable host ``silent``; None: not replaced."""
     if silent is None:

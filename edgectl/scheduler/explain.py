@@ -40,6 +40,7 @@ _CONSTRAINED_REASONS = (
     Reason.UNSETTLED,
     Reason.BEST_EFFORT,
     Reason.REPLACED,
+    Reason.PINNED_BY_OPERATOR,
     Reason.STANDBY_ACTIVATED,
     Reason.MADE_ROOM,
     Reason.ROOM_MADE,

@@ -98,6 +98,7 @@ class SchedulingPolicy:
     ``settles``: passes are repeated until one changes nothing. ``strict_paper``: a running task's own use
     stays in gamma, and only what ran before the pass is a predecessor. ``weighs_moves``: a change of one
     number may reverse a decision, so it can be explained. ``weights``: instead of those of the files.
+    ``follows_pins``: of an operator (ADR 140).
     """
 
     candidates: CandidateRules
@@ -106,6 +107,7 @@ class SchedulingPolicy:
     strict_paper: bool = False
     weighs_moves: bool = False
     weights: Weights | None = None
+    follows_pins: bool = True
 
 
 _BY_RULES = CandidateRules(
@@ -155,6 +157,7 @@ POLICIES: Mapping[PolicyName, SchedulingPolicy] = MappingProxyType(
                 edges=False,
             ),
             choose=choose_local,
+            follows_pins=False,
         ),
         PolicyName.LEAST_LOADED: SchedulingPolicy(
             candidates=_TOLERANT, choose=choose_by_utility, weights=_LEAST_LOADED_WEIGHTS

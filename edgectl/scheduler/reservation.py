@@ -28,11 +28,18 @@ def reserve_running_tasks(state: InitialState, tasks: Tasks) -> InitialState:
     resident = {**state.held, **state.running}
     measured = state.ledger.fleet
     fleet = replace(measured, floors=dict(_list_floors(measured, tasks, resident)))
-    ledger = replace(state.ledger.copy(), fleet=fleet)
+    ledger = state.ledger.copy()
+    ledger.fleet = fleet
     for there in resident.values():
         ledger.release(there.place, there.use)
     reserved = {
-        name: replace(there, use=compute_demand_usage(fleet, tasks.tasks[name], there.place))
+        name: RunningTask(
+            place=there.place,
+            use=compute_demand_usage(fleet, tasks.tasks[name], there.place),
+            since=there.since,
+            counts=there.counts,
+            sample=there.sample,
+        )
         for name, there in sorted(resident.items())
     }
     for there in reserved.values():

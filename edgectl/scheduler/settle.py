@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
-from edgectl.model.assignment import Decision
+from edgectl.model.assignment import Decision, Verdict
 from edgectl.scheduler.choice import Choice
 from edgectl.scheduler.decided_plan import DecidedPlan, rate_plan, rebalance_plan
 from edgectl.scheduler.groups import MAX_ROUNDS, withhold_incomplete_groups
@@ -12,7 +12,7 @@ from edgectl.scheduler.initial_state import InitialState
 from edgectl.scheduler.latency import count_missed_deadlines
 from edgectl.scheduler.ledger import compute_demand_usage
 from edgectl.scheduler.optimum import breaks_no_more_rules, is_overload_kept, value_plan
-from edgectl.scheduler.placement_rules import build_placement_rules
+from edgectl.scheduler.placement_rules import NO_RULES, build_placement_rules
 from edgectl.scheduler.repair import repair_plan
 from edgectl.scheduler.single_pass import (
     PassResult,
@@ -153,6 +153,9 @@ def _settle(how: PlacementPass, start: InitialState, prior_moves: Mapping[str, C
     state, moves = start, prior_moves
     outcome = run_pass(recorded, state, moves)
     for _ in range(MAX_PASSES):
+        if repeats_itself(how, state, outcome):
+            last = outcome if state is start else run_pass(recorded, state, moves)
+            return SettledPlan(last, settled=True, prior_moves=moves)
         put = collect_prior_moves(outcome, moves, how.initial)
         next_state = state_from_pass(state, outcome, how.initial)
         repeated = run_pass(how, next_state, put)
@@ -162,6 +165,23 @@ def _settle(how: PlacementPass, start: InitialState, prior_moves: Mapping[str, C
         state, moves, outcome = next_state, put, repeated
     last = run_pass(replace(recorded, voluntary=False), start, prior_moves)
     return SettledPlan(last, settled=False, prior_moves=prior_moves)
+
+
+def repeats_itself(how: PlacementPass, state: InitialState, outcome: PassResult) -> bool:
+    """Whether ``outcome`` leaves every task where ``state`` has it: then its repetition is the same pass
+    (ADR 134). False says nothing.
+
+    Rules between tasks reserve room, and the paper's own policy charges a task twice: those are repeated.
+    """
+    if how.rules.strict_paper or how.context.placement_rules is not NO_RULES:
+        return False
+    running = state.running
+    return all(
+        choice.place is None
+        if (there := running.get(name)) is None
+        else choice.verdict is Verdict.KEPT and choice.place == there.place
+        for name, choice in outcome.choices.items()
+    )
 
 
 def build_decided_plan(how: PlacementPass, plan: SettledPlan) -> DecidedPlan:
@@ -197,6 +217,6 @@ def change_choices(how: PlacementPass, outcome: PassResult, changed: Mapping[str
 def run_once(how: PlacementPass, initial: InitialState) -> tuple[PassResult, bool]:
     """One pass, and whether its repetition would change it."""
     outcome = run_pass(replace(how, record=True), initial, {})
-    return outcome, run_pass(
+    return outcome, repeats_itself(how, initial, outcome) or run_pass(
         how, state_from_pass(initial, outcome, initial), collect_prior_moves(outcome, {}, initial)
     ).places == outcome.places

@@ -20,6 +20,7 @@ from edgectl.scheduler.choice import Choice, MoveConstraints
 from edgectl.scheduler.company import Company, follows_unit, list_reservations, weigh_in_company
 from edgectl.scheduler.decisions import (
     build_decision,
+    build_plain_decision,
     explain_replacement,
     rebase_on_initial,
     unplaced_decision,
@@ -80,7 +81,7 @@ class PlacementPass:
     """One way over the sequence.
 
     ``initial``: the state before the plan, by which moves are counted and recorded. ``record``: keep the
-    rankings.
+    decisions; ``explain``: with their numbers and rankings.
     """
 
     context: AssignmentContext
@@ -89,6 +90,7 @@ class PlacementPass:
     initial: InitialState
     voluntary: bool = True
     record: bool = False
+    explain: bool = True
 
 
 def run_pass(how: PlacementPass, state: InitialState, prior_moves: Mapping[str, Choice]) -> PassResult:
@@ -98,7 +100,7 @@ def run_pass(how: PlacementPass, state: InitialState, prior_moves: Mapping[str, 
     """
     progress = _PassState(
         ledger=state.ledger.copy(),
-        history=LoadHistory(start=state.ledger) if how.record else None,
+        history=LoadHistory(start=state.ledger) if how.record and how.explain else None,
         located=dict(state.located),
         open={task.name: task for task in how.order if task.name not in state.fixed}
         if how.context.placement_rules is not NO_RULES
@@ -180,11 +182,11 @@ def _decide_task(
     """One task: its reservation leaves gamma, every place is weighed, and d is charged where it is put."""
     running = state.running.get(task.name)
     if running is not None and _stays_at_a_glance(how, state, progress, task, running):
-        progress.choices[task.name] = Choice(
-            verdict=Verdict.KEPT, reason=Reason.STILL_BEST, place=running.place
-        )
+        choice = Choice(verdict=Verdict.KEPT, reason=Reason.STILL_BEST, place=running.place)
+        progress.choices[task.name] = choice
         progress.uses[task.name] = running.place, running.use
         progress.placed[running.place] = progress.placed.get(running.place, 0) + 1
+        _record_plainly(how, prior_moves, progress, task, choice)
         return
     if task.name in progress.reserved:
         _change_reservation(progress, *progress.reserved.pop(task.name), is_charge=False)
@@ -203,6 +205,7 @@ def _decide_task(
         )
     else:
         choice, candidates = _choose_place(how, state, prior_moves, progress, task)
+        _record_plainly(how, prior_moves, progress, task, choice)
     progress.choices[task.name] = choice
     if candidates is not None and choice.place is not None:
         _charge_demand(progress, task.name, choice.place, usage_at(candidates, choice.place))
@@ -213,11 +216,26 @@ def _decide_task(
         progress.moves_left -= 1
 
 
+def _record_plainly(
+    how: PlacementPass,
+    prior_moves: Mapping[str, Choice],
+    progress: _PassState,
+    task: Task,
+    choice: Choice,
+) -> None:
+    """Keep the decision without its numbers, if only the decision is asked for."""
+    if how.record and not how.explain:
+        initial_place = _find_place(how.initial, task.name)
+        told = rebase_on_initial(choice, initial_place, prior_moves.get(task.name))
+        decision = build_plain_decision(how.context.fleet, task, told, initial_place)
+        progress.decisions.append(explain_replacement(decision, how.initial.replaced.get(task.name)))
+
+
 def _stays_at_a_glance(
     how: PlacementPass, state: InitialState, progress: _PassState, task: Task, running: RunningTask
 ) -> bool:
-    """Whether a pass that only repeats may leave ``task`` where it is, without a look at every host."""
-    if how.record or not how.rules.settles or not progress.peaks.valid:
+    """Whether a pass that explains nothing may leave ``task`` where it is, without a look at every host."""
+    if (how.record and how.explain) or not how.rules.settles or not progress.peaks.valid:
         return False
     if how.context.placement_rules.concern(task.name):
         return False

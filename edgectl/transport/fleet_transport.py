@@ -11,6 +11,8 @@ from edgectl.transport.deferred_imports import import_deferred
 class FleetTransport:
     """A Transport that makes each kind of transport when the first host needs it (Fabric only for ``ssh``).
 
+    A host whose ``transport`` names a plugin is reached by what that plugin makes.
+
     ``accept_new`` records the keys of unknown hosts. ``ask_password`` is called with a prompt, at most once
     per host; None never asks.
     """
@@ -18,7 +20,7 @@ class FleetTransport:
     def __init__(self, *, accept_new: bool = False, ask_password: Callable[[str], str] | None = None) -> None:
         self._accept_new = accept_new
         self._ask_password = ask_password
-        self._made: dict[Connection, Transport] = {}
+        self._made: dict[Connection | str, Transport] = {}
         self._lock = threading.Lock()
 
     def connect(self, host: Host, *, timeout: float) -> Session:
@@ -31,9 +33,12 @@ class FleetTransport:
 
     def _for(self, host: Host) -> Transport:
         with self._lock:
-            if host.connection not in self._made:
-                self._made[host.connection] = self._make(host.connection)
-            return self._made[host.connection]
+            key = host.transport or host.connection
+            if key not in self._made:
+                self._made[key] = (
+                    _make_plugin_transport(host.transport) if host.transport else self._make(host.connection)
+                )
+            return self._made[key]
 
     def _make(self, connection: Connection) -> Transport:
         if connection is Connection.LOCAL:
@@ -48,3 +53,10 @@ class FleetTransport:
         from edgectl.transport.ssh import SshTransport
 
         return SshTransport(accept_new=self._accept_new, ask_password=self._ask_password)
+
+
+def _make_plugin_transport(name: str) -> Transport:
+    from edgectl.plugins import PluginGroup, load_plugin
+
+    made: Transport = load_plugin(PluginGroup.TRANSPORTS, name).call()
+    return made

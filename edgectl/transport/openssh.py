@@ -13,9 +13,10 @@ import shutil
 import signal
 import subprocess
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
+from types import MappingProxyType
 from typing import IO, Self
 
 from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError, HostKeyError
@@ -42,6 +43,8 @@ FIXED_OPTIONS = {
     "ServerAliveInterval": "5",
     "UpdateHostKeys": "no",
 }
+# Of a session that a person uses: prompts for passwords, and `~.` ends it.
+_BY_HAND = {"BatchMode": "no", "EscapeChar": "~"}
 _NEEDED_VARIABLES = ("HOME", "KRB5CCNAME", "LOGNAME", "PATH", "SHELL", "SSH_AUTH_SOCK", "USER")
 # Exit status of ssh for failures of its own.
 SSH_FAILED_STATUS = 255
@@ -116,20 +119,28 @@ class OpenSshTransport:
         if host.password_command:
             message = "connection: openssh logs in with keys only"
             raise AuthError(message, hint="remove password_command, or use connection: ssh", host=host.name)
-        if shutil.which("ssh") is None:
-            raise ConnectError(
-                "there is no ssh program here",
-                hint="install openssh-client, or use connection: ssh",
-                host=host.name,
-            )
+        _check_has_program(host)
         return OpenSshSession(host.name, self._command(host, timeout))
 
     def address(self, host: Host) -> str:
         """The real address or name of ``host``, ssh_config applied."""
         return self._resolver.resolve(host).hostname
 
-    def _command(self, host: Host, timeout: float) -> list[str]:
-        settings = FIXED_OPTIONS | {
+    def build_manual_command(self, host: Host, *, tty: bool) -> list[str]:
+        """The ``ssh`` for work by hand, up to the host's name: prompts, and with ``tty`` a terminal.
+
+        Raises:
+            ConnectError: no ssh program here, or no host name.
+        """
+        _check_has_program(host)
+        return self._command(host, CONNECT_TIMEOUT_S, {"RequestTTY": "force" if tty else "no"} | _BY_HAND)
+
+    def _command(
+        self, host: Host, timeout: float, changed: Mapping[str, str] = MappingProxyType({})
+    ) -> list[str]:
+        settings = {
+            **FIXED_OPTIONS,
+            **changed,
             "StrictHostKeyChecking": self._strict,
             "ConnectTimeout": str(max(1, int(min(CONNECT_TIMEOUT_S, timeout * 0.8)))),
         }
@@ -139,17 +150,28 @@ class OpenSshTransport:
         return [
             *hide_environment(os.environ, resolved.send_env),
             "ssh",
-            *(self._through(host, jump, timeout) if jump else build_ssh_options(host)),
+            *(self._through(host, jump, timeout, changed) if jump else build_ssh_options(host)),
             *pairs,
             "--",
             host.host,
         ]
 
-    def _through(self, host: Host, jump: str, timeout: float) -> list[str]:
+    def _through(self, host: Host, jump: str, timeout: float, changed: Mapping[str, str]) -> list[str]:
         """Options for a host behind ``jump``; ProxyJump would not pass our options on to the jump host."""
-        *before, dashes, name = self._command(parse_jump_host(jump), timeout)
+        *before, dashes, name = self._command(
+            parse_jump_host(jump), timeout, {**changed, "RequestTTY": "no"} if changed else {}
+        )
         inner = shlex.join([*before]).replace("%", "%%") + f" -W '[%h]:%p' {dashes} {shlex.quote(name)}"
         return [*build_ssh_options(replace(host, proxy_jump="none")), "-o", f"ProxyCommand={inner}"]
+
+
+def _check_has_program(host: Host) -> None:
+    if shutil.which("ssh") is None:
+        raise ConnectError(
+            "there is no ssh program here",
+            hint="install openssh-client, or use connection: ssh",
+            host=host.name,
+        )
 
 
 def hide_environment(names: Iterable[str], patterns: Sequence[str]) -> list[str]:

@@ -5,6 +5,7 @@ import dataclasses
 from collections.abc import Sequence
 
 from edgectl.doctor.diagnosis import diagnose_fleet
+from edgectl.errors import PluginError
 from edgectl.gateway.fanout import fan_out
 from edgectl.gateway.host_facts import HostFactsOptions, collect_host_facts
 from edgectl.gateway.host_probe import ProbeOptions
@@ -13,13 +14,16 @@ from edgectl.model.diagnosis import (
     Disk,
     EtcdEndpoint,
     FactsByHost,
+    Finding,
     HostFacts,
     ManagerFacts,
+    Severity,
     UnreachableHost,
 )
-from edgectl.model.inventory import Connection, Coordination, Host
+from edgectl.model.inventory import Connection, Coordination, Host, Inventory
 from edgectl.model.snapshot import Snapshot
 from edgectl.names import check_known_names
+from edgectl.plugins import PluginGroup, load_plugins
 from edgectl.rules.ros import list_ros_packages
 from edgectl.state.manager_state import load_link_capacities
 from edgectl.transport.connections import BackoffTransport, SessionPool
@@ -50,7 +54,36 @@ def run_doctor(fleet: Fleet, state: Disk, names: Sequence[str] = (), *, timeout:
         whole = not names and bool(fleet.tasks.tasks) and not state.obstacle
         snapshot = _probe_edges(near, answers, timeout) if whole else None
     shortages = None if snapshot is None else find_fleet_shortages(fleet, snapshot)
-    return diagnose_fleet(fleet.inventory, manager, answers, shortages, snapshot)
+    found = diagnose_fleet(fleet.inventory, manager, answers, shortages, snapshot)
+    return Diagnosis(findings=(*found.findings, *_run_plugin_checks(fleet.inventory, answers, snapshot)))
+
+
+def _run_plugin_checks(
+    inventory: Inventory, answers: FactsByHost, snapshot: Snapshot | None
+) -> tuple[Finding, ...]:
+    """The findings of checks of other packages (ADR 67). One that fails is a finding itself, for the others
+    are still worth knowing.
+    """
+    try:
+        plugins = load_plugins(PluginGroup.CHECKS)
+    except PluginError as error:
+        return (_describe_broken_check(error),)
+    findings: list[Finding] = []
+    for plugin in plugins:
+        try:
+            found = tuple(plugin.call(inventory, answers, snapshot))
+        except PluginError as error:
+            found = (_describe_broken_check(error),)
+        if any(not isinstance(each, Finding) for each in found):
+            found = (_describe_broken_check(plugin.fail(TypeError("it gave something that is no Finding"))),)
+        findings += found
+    return tuple(findings)
+
+
+def _describe_broken_check(error: PluginError) -> Finding:
+    return Finding(
+        host=None, check="plugins", level=Severity.FAILED, message=error.message, remedy=error.hint
+    )
 
 
 def _probe_edges(fleet: Fleet, answers: FactsByHost, timeout: float) -> Snapshot | None:

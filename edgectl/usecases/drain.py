@@ -79,6 +79,8 @@ def drain_hosts(
             return confirm(plan) and _mark_draining(held, names)
 
         made = _plan_drain(held, policy, names, options)
+        if options.dry_run:
+            return DrainResult(passes=(confirm_and_execute(held, made, begin, options, verb="drain"),))
         if not made.changes:
             _mark_draining(held, names)
         passes = [confirm_and_execute(held, made, begin, options, verb="drain")]

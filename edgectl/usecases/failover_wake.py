@@ -1,4 +1,4 @@
-"""When a watch has to look again because the copy of a task on a silent host has stopped itself by then."""
+"""Time at which a watch looks again: the copy of a task on a silent host has stopped itself by then."""
 
 from enum import IntEnum
 

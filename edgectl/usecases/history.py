@@ -10,6 +10,7 @@ from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy, PolicyName
 from edgectl.model.revision import Revision
+from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task, Tasks
 from edgectl.scheduler.assign import assign
 from edgectl.state.revisions import load_revisions
@@ -59,7 +60,8 @@ def plan_rollback(fleet: Fleet, policy: Policy, number: int | None, options: App
     snapshot = probe_fleet(fleet, options.probe)
     manager = snapshot.manager or ManagerState()
     pinned = dataclasses.replace(
-        fleet.tasks, tasks={name: _pin_task(fleet, task, wanted) for name, task in fleet.tasks.tasks.items()}
+        fleet.tasks,
+        tasks={name: _pin_task(fleet, task, wanted, snapshot) for name, task in fleet.tasks.tasks.items()},
     )
     how = dataclasses.replace(policy, name=PolicyName.UTILITY)
     assignment = assign(fleet.inventory, pinned, snapshot, manager, how, snapshot.taken_at)
@@ -108,10 +110,13 @@ def _get_placements(target: Revision) -> Mapping[str, str]:
     return target.placements
 
 
-def _pin_task(fleet: Fleet, task: Task, wanted: Mapping[str, str]) -> Task:
-    """The task restricted to its earlier host; a pin in the file wins, and a host that is gone is ignored."""
-    host = wanted.get(task.name)
-    if host is None or host not in fleet.inventory.hosts or task.hosts.pin is not None:
+def _pin_task(fleet: Fleet, task: Task, wanted: Mapping[str, str], snapshot: Snapshot) -> Task:
+    """The task restricted to its earlier host; a pin in the file or of an operator wins, and a host that is
+    gone is ignored.
+    """
+    host, mark = wanted.get(task.name), (snapshot.manager or ManagerState()).pins.get(task.name)
+    pinned = task.hosts.pin is not None or (mark is not None and mark.is_active(snapshot.taken_at))
+    if host is None or host not in fleet.inventory.hosts or pinned:
         return task
     return dataclasses.replace(task, hosts=dataclasses.replace(task.hosts, pin=host))
 

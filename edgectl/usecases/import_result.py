@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from edgectl.config.expansion import expand_templates
-from edgectl.config.inventory_file import read_inventory
+from edgectl.config.inventory_merge import read_inventories
 from edgectl.config.problems import Problems
 from edgectl.config.source import decode_source
 from edgectl.config.task_file import TaskTemplate, merge_policy, read_templates
@@ -42,7 +42,7 @@ def _check_result(name: str, inventory: str, tasks: str) -> list[Problem]:
     templates: dict[str, TaskTemplate] = {}
     source = decode_source(f"inventories/{name}.yaml", inventory.encode(), problems)
     node = parse_yaml(source, problems) if source is not None else None
-    fleet = read_inventory(node, problems) if node is not None else None
+    fleet = read_inventories([node], problems) if node is not None else None
     source = decode_source(f"tasks/{name}.yaml", tasks.encode(), problems) if tasks else None
     node = parse_yaml(source, problems) if source is not None else None
     if node is not None and fleet is not None:

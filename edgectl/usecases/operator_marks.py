@@ -24,7 +24,7 @@ _TIMEOUT_S = 15.0
 
 
 @contextlib.contextmanager
-def _change_marks(fleet: Fleet, verb: str) -> Iterator[None]:
+def change_marks(fleet: Fleet, verb: str) -> Iterator[None]:
     """The lock of the fleet, and with ``coordination`` its lease in etcd, where the marks are saved, too.
 
     Raises:
@@ -44,7 +44,7 @@ def mark_tasks_done(fleet: Fleet, names: Sequence[str]) -> ManagerState:
     spec.
     """
     check_known_names(names, fleet.tasks.tasks, "task")
-    with _change_marks(fleet, "done"):
+    with change_marks(fleet, "done"):
         manager = load_manager_state(fleet.state, fleet.warn)
         marked = {name: fleet.tasks.tasks[name].spec_hash for name in names}
         return _save_and_return(fleet, dataclasses.replace(manager, done={**manager.done, **marked}))
@@ -55,7 +55,7 @@ def reopen_tasks(fleet: Fleet, names: Sequence[str]) -> frozenset[str]:
     that did not answer, where one may be recorded still.
     """
     check_known_names(names, fleet.tasks.tasks, "task")
-    with _change_marks(fleet, "reopen"):
+    with change_marks(fleet, "reopen"):
         unanswered = _ignore_ended_instances(fleet, names)
         manager = load_manager_state(fleet.state, fleet.warn)
         kept = {name: spec for name, spec in manager.done.items() if name not in names}
@@ -83,7 +83,7 @@ def _ignore_ended_instances(fleet: Fleet, names: Sequence[str]) -> frozenset[str
 def cordon_hosts(fleet: Fleet, names: Sequence[str], *, drain: bool = False) -> ManagerState:
     """Mark hosts as unschedulable; with ``drain`` their tasks move away at the next apply."""
     check_known_names(names, fleet.inventory.hosts, "host")
-    with _change_marks(fleet, "cordon"):
+    with change_marks(fleet, "cordon"):
         manager = load_manager_state(fleet.state, fleet.warn)
         draining = manager.draining | set(names) if drain else manager.draining
         return _save_and_return(
@@ -94,7 +94,7 @@ def cordon_hosts(fleet: Fleet, names: Sequence[str], *, drain: bool = False) -> 
 def uncordon_hosts(fleet: Fleet, names: Sequence[str]) -> ManagerState:
     """Mark hosts as schedulable."""
     check_known_names(names, fleet.inventory.hosts, "host")
-    with _change_marks(fleet, "uncordon"):
+    with change_marks(fleet, "uncordon"):
         manager = load_manager_state(fleet.state, fleet.warn)
         return _save_and_return(
             fleet,
@@ -113,7 +113,7 @@ def fence_hosts(fleet: Fleet, names: Sequence[str]) -> frozenset[str]:
     manager = load_manager_state(fleet.state, fleet.warn)
     check_known_names(names, list_fenceable_hosts(fleet, manager), "host")
     marks = {mark for name in names for mark in list_fence_marks(name, fleet.inventory, manager)}
-    with _change_marks(fleet, "fence"):
+    with change_marks(fleet, "fence"):
         return heartbeats.add_fences(fleet.state, marks).fenced
 
 
@@ -127,7 +127,7 @@ def unfence_hosts(fleet: Fleet, names: Sequence[str]) -> frozenset[str]:
     """Clear the fence of hosts. Returns all hosts that are still fenced."""
     fenced = heartbeats.load_heartbeats(fleet.state, fleet.warn).fenced
     check_known_names(names, [*fleet.inventory.hosts, *sorted(fenced)], "host")
-    with _change_marks(fleet, "unfence"):
+    with change_marks(fleet, "unfence"):
         return heartbeats.remove_fences(fleet.state, names).fenced
 
 

@@ -1,5 +1,6 @@
 """Plan: ranking of hosts and changes, with reasons."""
 
+import dataclasses
 import hashlib
 from collections.abc import Collection
 
@@ -12,7 +13,8 @@ from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.assignment import Shortage
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Plan
-from edgectl.model.policy import Policy
+from edgectl.model.policy import Policy, PolicyName
+from edgectl.model.resource import LATENCY
 from edgectl.model.snapshot import Snapshot
 from edgectl.rules.lost_places import find_shared_machine
 from edgectl.scheduler.assign import assign
@@ -67,6 +69,30 @@ def get_solver(policy: Policy) -> Solver | None:
     from edgectl.solver.highs import make_solver
 
     return make_solver()
+
+
+def check_search(policy: Policy) -> None:
+    """Check that the search which ``policy`` asks for can weigh what the policy weighs.
+
+    Raises:
+        UsageError: it cannot.
+    """
+    if (policy.optimal or policy.rebalance) and policy.weights[LATENCY]:
+        option = "--optimal" if policy.optimal else "--rebalance"
+        hint = "omit it, or weigh no latency; hard deadlines are kept"
+        raise UsageError(f"{option} cannot weigh latency, which is not linear in loads", hint=hint)
+    if policy.optimal and policy.rebalance:
+        raise UsageError("--optimal finds the best plan without --rebalance", hint="pass one of the two")
+    if policy.optimal and policy.name is not PolicyName.UTILITY:
+        raise UsageError(f"--optimal is for policy utility, not {policy.name}", hint="omit one of the two")
+
+
+def is_what_if(fleet: Fleet, policy: Policy) -> bool:
+    """Whether a plan under ``policy`` answers a question (``--without``, ``--weights``, ..) and does not show
+    what an apply of the files would do. Such a plan is no part of the history.
+    """
+    stated = fleet.tasks.policy
+    return policy != dataclasses.replace(stated, attended=policy.attended, full=policy.full)
 
 
 def find_fleet_shortages(fleet: Fleet, snapshot: Snapshot) -> tuple[Shortage, ...]:

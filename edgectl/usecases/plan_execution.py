@@ -51,13 +51,15 @@ class ApplyOptions(RunOptions):
 
     ``lock_timeout`` (s): how long to wait for another edgectl; None: for one cycle of a watch, else not at
     all. ``choose`` narrows a plan (``--target``). ``recheck_window`` (s): before tasks move because of
-    load, measure once more for so long and plan again (ADR 74); None: act on the first plan.
+    load, measure once more for so long and plan again (ADR 74); None: act on the first plan. ``dry_run``:
+    plan only; nothing is locked, asked, sent or saved.
     """
 
     lock_timeout: float | None = None
     probe: ProbeOptions | None = None
     choose: Callable[[Plan], Plan] = keep_whole_plan
     recheck_window: float | None = None
+    dry_run: bool = False
     progress: ProgressListener = ignore_progress
 
 
@@ -83,6 +85,10 @@ def lock_fleet(fleet: Fleet, verb: str, options: ApplyOptions) -> Iterator[Fleet
     Raises:
         LockBusyError: another edgectl is changing this fleet.
     """
+    if options.dry_run:
+        with SessionPool(fleet.transport) as pool:
+            yield dataclasses.replace(fleet, transport=pool)
+        return
     with (
         FleetLock(fleet.state, verb=verb, timeout=options.lock_timeout, clock=fleet.clock),
         SessionPool(fleet.transport) as pool,
@@ -103,6 +109,8 @@ def confirm_and_execute(
     """Ask, journal, execute and save; ``verb`` goes into the journal; ``name`` is the id of a saved plan.
     Call it within ``lock_fleet``.
     """
+    if options.dry_run:
+        return ApplyResult(plan=plan)
     manager = plan.snapshot.manager or ManagerState()
     if plan.changes and not confirm(plan):
         return ApplyResult(plan=plan, declined=True)

@@ -1,5 +1,6 @@
 """Best-effort recording of samples, plans and results; a failure is one warning, never an error."""
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -97,4 +98,9 @@ def _record_and_prune(fleet: Fleet, act: "Callable[[Store], None]") -> None:
         if store.is_prune_due(fleet.clock()):
             store.prune(fleet.clock())
 
-    fleet.history.use(fleet.state, fleet.warn, record)
+    with contextlib.ExitStack() as stack:
+        if fleet.inventory.on_event:
+            from edgectl.usecases.event_delivery import deliver_recorded_events
+
+            stack.enter_context(deliver_recorded_events(fleet))
+        fleet.history.use(fleet.state, fleet.warn, record)

@@ -12,7 +12,9 @@ from edgectl.executor.operator_plans import (
     list_running_instances,
     list_unseen_placements,
 )
+from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan
+from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot
 from edgectl.names import check_known_names
 from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
@@ -60,6 +62,39 @@ def stop_tasks(
         )
 
 
+def start_tasks(
+    fleet: Fleet,
+    policy: Policy,
+    names: Sequence[str],
+    confirm: Confirm = confirm_always,
+    options: ApplyOptions | None = None,
+) -> ApplyResult:
+    """Start the named tasks where a plan of now places them, also those that failed, completed or are marked
+    done. What runs already is left alone.
+
+    Raises:
+        UsageError: a task is not in the files.
+        UnansweredError: one may run on a host that does not answer or left the inventory.
+        LockBusyError: another edgectl is changing this fleet.
+    """
+    options = options or ApplyOptions()
+    check_known_names(names, fleet.tasks.tasks, "task")
+    with lock_fleet(fleet, "start", options) as held:
+        snapshot = probe_fleet(held, options.probe)
+        running = list_running_instances(snapshot)
+        absent = [name for name in dict.fromkeys(names) if name not in running]
+        manager = snapshot.manager or ManagerState()
+        done = {name: spec for name, spec in manager.done.items() if name not in absent}
+        forgiven = dataclasses.replace(snapshot, manager=dataclasses.replace(manager, done=done))
+        for name in absent:
+            _check_not_unseen(name, snapshot, "started")
+            forgiven = drop_given_up_runs(name, forgiven, completed=True)
+        made = make_plan(held, policy, snapshot=forgiven)
+        steps = tuple(step for step in made.steps if step.task in names)
+        plan = dataclasses.replace(made, steps=steps, expected={}, tasks_left_alone={})
+        return confirm_and_execute(held, plan, confirm, options, verb="start")
+
+
 def restart_task(
     fleet: Fleet, name: str, confirm: Confirm = confirm_always, options: ApplyOptions | None = None
 ) -> ApplyResult:
@@ -85,7 +120,7 @@ def _plan_restart(fleet: Fleet, name: str, snapshot: Snapshot) -> Plan:
         raise UsageError(f"{name} is not in the task files", hint="edgectl apply")
     if name in list_running_instances(snapshot):
         return build_restart_plan(name, fleet.inventory, fleet.tasks, snapshot)
-    _check_not_unseen(name, snapshot)
+    _check_not_unseen(name, snapshot, "restarted")
     forgiven = drop_given_up_runs(name, snapshot)
     if forgiven == snapshot:
         raise UsageError(f"{name} is not running", hint="edgectl apply")
@@ -98,7 +133,7 @@ def _plan_restart(fleet: Fleet, name: str, snapshot: Snapshot) -> Plan:
     return dataclasses.replace(made, steps=steps, expected={})
 
 
-def _check_not_unseen(name: str, snapshot: Snapshot) -> None:
+def _check_not_unseen(name: str, snapshot: Snapshot, act: str) -> None:
     """Refuse to call a task stopped that may run on a host that does not answer, or at a lost place.
 
     Raises:
@@ -107,12 +142,12 @@ def _check_not_unseen(name: str, snapshot: Snapshot) -> None:
     host = list_unseen_placements(snapshot).get(name)
     if host is not None:
         raise UnansweredError(
-            f"not restarted: {describe_unseen_task(name, host)}",
-            hint=f"restart it once {host} answers; if {host} is powered off: edgectl fence {host}",
+            f"not {act}: {describe_unseen_task(name, host)}",
+            hint=f"try again once {host} answers; if {host} is powered off: edgectl fence {host}",
         )
     lost = list_lost_tasks(snapshot).get(name)
     if lost is not None:
-        raise UnansweredError(f"not restarted: {name} {describe_lost_place(lost)}", hint="edgectl plan")
+        raise UnansweredError(f"not {act}: {name} {describe_lost_place(lost)}", hint="edgectl plan")
     silent = snapshot.silent_hosts
     if silent and drop_given_up_runs(name, snapshot) == snapshot:
         raise UnansweredError(

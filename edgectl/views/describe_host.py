@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from edgectl.formats.document import Document, without_none
+from edgectl.formats.event_document import encode_event
 from edgectl.model.event import Event
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.resource import HOST_RESOURCES
@@ -10,7 +11,6 @@ from edgectl.model.snapshot import HostSample, InterfaceSample, ResourceUsage, S
 from edgectl.model.task import Tasks
 from edgectl.units import format_duration, format_instant, format_rate
 from edgectl.views.describe import Field, format_pairs, render_events_section, render_fields, render_section
-from edgectl.views.events import encode_event
 from edgectl.views.glossary import head
 from edgectl.views.other_tasks import render_other_task_rows
 from edgectl.views.output import ItemView

@@ -3,11 +3,12 @@
 from collections.abc import Sequence
 
 from edgectl.formats.document import Document
+from edgectl.formats.event_document import encode_event
 from edgectl.model.check import Check
 from edgectl.model.event import Event
 from edgectl.model.inventory import Inventory
 from edgectl.model.latency import HeardRule, LatencyRule, LatencySample
-from edgectl.model.manager_state import ManagerState
+from edgectl.model.manager_state import ManagerState, Pin
 from edgectl.model.plan import Step
 from edgectl.model.resource import RESOURCES
 from edgectl.model.snapshot import Snapshot, TaskSample
@@ -15,13 +16,12 @@ from edgectl.model.task import Task, Tasks, list_node_names
 from edgectl.units import format_bytes, format_cores, format_duration, format_instant
 from edgectl.views import metrics
 from edgectl.views.describe import Field, format_pairs, render_events_section, render_fields, render_section
-from edgectl.views.events import encode_event
 from edgectl.views.glossary import head
 from edgectl.views.latency import format_ms
 from edgectl.views.output import ItemView
 from edgectl.views.output_format import ITEM_FORMATS
-from edgectl.views.reasons import describe_reason
-from edgectl.views.rows import encode_run_row, find_task_demand
+from edgectl.views.reasons import describe_pin, describe_reason
+from edgectl.views.rows import encode_pin, encode_run_row, find_task_demand
 from edgectl.views.standbys import (
     describe_standby,
     describe_standby_rule,
@@ -116,6 +116,7 @@ class TaskDetailsView(ItemView):
             "placement": None
             if placed is None
             else {"host": placed.host, "placed_at": format_instant(placed.since)},
+            "pin": encode_pin(memory.pins.get(self._name), self._snapshot.taken_at),
             "downtimes_s": {host: list(found) for host, found in downtimes.items()},
             "decision": None if self._step is None else _encode_decision(self._step),
             "events": [encode_event(event) for event in self._events or ()],
@@ -239,6 +240,7 @@ def _list_placement_fields(name: str, stated: Task | None, value: Snapshot, step
         ),
         ("Placed", f"{placed.host} since {format_instant(int(placed.since))}" if placed else ""),
         ("Downtimes", "; ".join(downtimes)),
+        ("Pinned", _format_pin(memory.pins.get(name), value.taken_at)),
         ("Deferred", memory.deferred.get(name, "")),
         ("Decision", describe_reason(step) if step is not None else ""),
         *(
@@ -246,6 +248,12 @@ def _list_placement_fields(name: str, stated: Task | None, value: Snapshot, step
             for each in (step.standbys if step is not None else ())
         ),
     ]
+
+
+def _format_pin(pin: Pin | None, now: float) -> str:
+    if pin is None or not pin.is_active(now):
+        return ""
+    return describe_pin(pin).removeprefix("pinned ") + f", since {format_instant(int(pin.since))}"
 
 
 def _format_absent_state(stated: Task, value: Snapshot) -> str:

@@ -21,11 +21,11 @@ _HOST = (
     "hint", "sample_age_s", "resident", "counters", *(resource.name for resource in HOST_RESOURCES), "links",
     "task_names", "other_tasks", "foreign_tasks", "device", "mark",
 )  # fmt: skip
-_ABSENT_TASK = ("task", "host", "taken_at", "state", "contacted_at", "managed")
+_ABSENT_TASK = ("task", "host", "taken_at", "state", "contacted_at", "managed", "pin")
 _RUN = (
     "task", "host", "taken_at", "state", "detail", "age_s", "started_at", "ended_at", *_RESOURCES, "restarts",
     "pid", "instance", "generation", "managed", "given_up", "exit_code", "last_exit", "enforcement",
-    "partial", "log_tail", "metrics", "latency",
+    "partial", "log_tail", "metrics", "latency", "pin",
 )  # fmt: skip
 _TASK = (*_RUN, "standby", "contacted_at", "in_files", "task_kind", "robot_names", "needs", "labels")
 _LINK = ("edge", "robot", "taken_at", *_LINK_SAMPLE)
@@ -46,8 +46,10 @@ _OTHER_TASK = (
 # Kind -> keys of each item of a list.
 LIST_KEYS: KeysByName = {
     "change": ("type", "at", "object"),
+    "context": ("context", "chosen", "inventories", "task_files", "origin"),
     "edge": _HOST,
     "event": _EVENT,
+    "hook": ("program", "outcome", "duration_s", "message"),
     "finding": ("host", "check", "level", "message", "hint"),
     "host-usage": (*_HOST, "history"),
     "host-key": ("host", "key_type", "fingerprint", "state", "error", "hint"),
@@ -57,6 +59,7 @@ LIST_KEYS: KeysByName = {
         "host", "state", "pid", "age_s", "every_s", "period_s", "samples", "sample_age_s", "cpu", "memory",
         "ttl_s", "ttl_left_s", "current", "detail", "error", "hint",
     ),
+    "setting": ("setting", "values", "origin"),
     "replay": (
         "scheme", "policy", "move_margin", "cycles", "handoffs", "unplaced", "unsettled", "assumed",
         "utilisation",
@@ -92,7 +95,8 @@ ITEM_KEYS: KeysByName = {
     "robot": _HOST_DETAILS,
     "simulation": ("scenario", "reference", "assumptions", "notes", "answer", "comparisons", "schemes"),
     "task": (
-        "task", "taken_at", "spec", "runs", "standbys", "placement", "downtimes_s", "decision", "events",
+        "task", "taken_at", "spec", "runs", "standbys", "placement", "pin", "downtimes_s", "decision",
+        "events",
     ),
     "validation": ("edge_names", "robot_names", "task_names", "inventory_digest", "tasks_digest"),
     "version": ("edgectl", "python"),
@@ -139,6 +143,7 @@ INNER_KEYS: KeysByName = {
     "passes": _RESULT,
     "pending": ("task", "action", "host", "previous_host"),
     "phases": ("phase", "host", "duration_s", "ok", "detail"),
+    "pin": ("pinned_to", "pinned_at", "pinned_until"),
     "placement": ("host", "placed_at"),
     "latencies": (
         "p50_ms", "p95_ms", "p99_ms", "low_ms", "high_ms", "service_ms", "host_load", "waiting_ms",

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 
 from edgectl.formats.document import Document
+from edgectl.formats.event_document import encode_event
 from edgectl.model.assignment import Reason
 from edgectl.model.event import Event, EventKind
 from edgectl.units import format_instant
@@ -92,15 +93,3 @@ def _render_event_row(value: Event) -> Row:
 def _format_event_subject(value: Event) -> str:
     """The task and the host that the event concerns."""
     return " on ".join(name for name in (value.task, value.host) if name) or "-"
-
-
-def encode_event(value: Event) -> Document:
-    """One event as JSON types; its ``id`` grows from event to event."""
-    return {
-        "id": value.id,
-        "at": format_instant(value.at),
-        "kind": value.kind.value,
-        "host": value.host,
-        "task": value.task,
-        "message": value.message,
-    }

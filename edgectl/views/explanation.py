@@ -100,7 +100,7 @@ class ExplanationView(ItemView):
             "slack": value.slack,
             "noise": value.noise,
             "fragile": value.fragile,
-            "pinned_to": value.pin,
+            "pinned_to": value.pin or _find_pinned_host(decision),
             "equal_hosts": [] if value.tie is None else list(value.tie.hosts),
             "tie_rule": None if value.tie is None else value.tie.rule.value,
             "contributions": [
@@ -151,8 +151,9 @@ def _list_sentences(value: Explanation, *, every: bool, complete: bool) -> Itera
     flips = value.flips if every else _select_smallest_flips(value.flips)
     if value.tie is not None:
         yield _describe_tie(value.tie)
-    if value.pin is not None:
-        yield f"Its task file pins it to {value.pin}: no load and no weight sends it anywhere else."
+    pinned = value.pin or _find_pinned_host(value.decision)
+    if pinned is not None:
+        yield _describe_pin(value, pinned)
     yield from _describe_rules_between_tasks(value.decision)
     for flip in flips:
         outcome = _describe_flip_outcome(flip, value.decision)
@@ -162,7 +163,7 @@ def _list_sentences(value: Explanation, *, every: bool, complete: bool) -> Itera
     if value.decision.host is not None and not value.contributions:
         among = "" if complete else " of those that answer"
         yield f"No other host{among} fits (edgectl plan -o wide shows what each lacks)."
-    if not value.flips and value.pin is None:
+    if not value.flips and pinned is None:
         yield _NO_CHANGE_FOUND if value.weighed else _NOT_BY_TOTALS
     if value.bends:
         yield "Changes of loads are left out: the predicted latency counts, which is not linear in them."
@@ -176,6 +177,18 @@ def _list_sentences(value: Explanation, *, every: bool, complete: bool) -> Itera
             f"fragile: it would change {value.slack:.3f} below, "
             f"and the measurements alone vary by {value.noise:.3f}."
         )
+
+
+def _describe_pin(value: Explanation, host: str) -> str:
+    alone = "no load and no weight sends it anywhere else"
+    if value.pin is not None:
+        return f"Its task file pins it to {host}: {alone}."
+    return f"edgectl move pinned it to {host}: {alone} (edgectl unpin {value.decision.task})."
+
+
+def _find_pinned_host(decision: Decision) -> str | None:
+    """The host that an operator has pinned the task to, where that counts."""
+    return decision.pin.host if decision.pin is not None and decision.pin.set_aside is None else None
 
 
 def _select_smallest_flips(flips: Iterable[Flip]) -> list[Flip]:

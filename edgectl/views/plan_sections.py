@@ -21,7 +21,14 @@ from edgectl.rules.slack import compute_slack
 from edgectl.units import format_instant, format_rate
 from edgectl.views.demands import list_demand_notes
 from edgectl.views.glossary import head_of_resource, list_shown_weights
-from edgectl.views.reasons import describe_reason, is_left_out, is_not_found, join_first_words, join_words
+from edgectl.views.reasons import (
+    describe_pin,
+    describe_reason,
+    is_left_out,
+    is_not_found,
+    join_first_words,
+    join_words,
+)
 from edgectl.views.standbys import count_standby_actions
 from edgectl.views.state import format_silence
 from edgectl.views.text import (
@@ -274,15 +281,17 @@ def list_lost_task_notes(value: Snapshot, without: Collection[str] = ()) -> list
 
 
 def list_operator_mark_notes(value: Snapshot) -> list[str]:
-    """One line for each mark of the operator with its hosts."""
+    """One line for each mark of the operator with its hosts, and for each pinned task."""
     memory = value.manager or ManagerState()
+    pinned = sorted(
+        (task for task, pin in memory.pins.items() if pin.is_active(value.taken_at)), key=natural_key
+    )
     fenced, draining = sorted(memory.fenced, key=natural_key), sorted(memory.draining, key=natural_key)
     cordoned = sorted(memory.cordons - memory.draining, key=natural_key)
     lines = [f"cordoned, no new tasks: {join_words(cordoned)} (edgectl uncordon)"] if cordoned else []
     lines += [f"draining, tasks move away: {join_words(draining)} (edgectl uncordon)"] if draining else []
-    return lines + (
-        [f"fenced, treated as powered off: {join_words(fenced)} (edgectl unfence)"] if fenced else []
-    )
+    lines += [f"fenced, treated as powered off: {join_words(fenced)} (edgectl unfence)"] if fenced else []
+    return lines + [f"{task} is {describe_pin(memory.pins[task])} (edgectl unpin {task})" for task in pinned]
 
 
 def render_notes(lines: Iterable[str], look: RenderOptions) -> str:

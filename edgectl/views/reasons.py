@@ -3,12 +3,21 @@
 from collections import Counter
 from collections.abc import Callable, Iterable
 
-from edgectl.model.assignment import Decision, RankedHost, Reason, Rejection, RejectionRule, Verdict
+from edgectl.model.assignment import (
+    Decision,
+    OperatorPin,
+    RankedHost,
+    Reason,
+    Rejection,
+    RejectionRule,
+    Verdict,
+)
+from edgectl.model.manager_state import Pin
 from edgectl.model.plan import Action, Step
 from edgectl.model.resource import Resource
 from edgectl.rules.lost_places import describe_lost_place, get_lost_place
 from edgectl.rules.other_managers import describe_unlisted_host
-from edgectl.units import format_duration
+from edgectl.units import format_duration, format_instant
 
 # Names in a sentence.
 _MAX_NAMED = 5
@@ -29,6 +38,7 @@ _RULE_TEXTS = {
     RejectionRule.TOGETHER: "without room for all that go together",
     RejectionRule.SPREAD: "with their part of the spread",
     RejectionRule.DEADLINE_MISSED: "misses the deadline",
+    RejectionRule.NOT_LISTED: "not in the inventory",
 }
 LEFT_OUT_TEXT = "left out by --target or -l"
 _FIXED_REASON_TEXTS = {
@@ -61,6 +71,7 @@ def describe_reason(step: Step) -> str:
     """The reason of a step, in one line that begins with the action."""
     return (
         f"{step.action}: {LEFT_OUT_TEXT if is_left_out(step) else _describe_cause(step)}"
+        + _describe_pin_beside(step)
         + _describe_extra_stops(step)
     )
 
@@ -88,6 +99,31 @@ def _describe_cause(step: Step) -> str:
         if decision.overcommitted and decision.reason is not Reason.NOTHING_FITS
         else text
     )
+
+
+def describe_pin(pin: OperatorPin | Pin) -> str:
+    """``pinned to edge2 until 2026-11-23T14:05:00Z``."""
+    return f"pinned to {pin.host}" + ("" if pin.until is None else f" until {format_instant(pin.until)}")
+
+
+def describe_obstacle(rule: RejectionRule) -> str:
+    """What keeps a task off a host that it is pinned to."""
+    return "too small for it" if rule is RejectionRule.INSUFFICIENT else _RULE_TEXTS[rule]
+
+
+def _describe_pin_beside(step: Step) -> str:
+    """The pin of an operator where it is not the reason of the place."""
+    pin = step.decision.pin
+    if pin is None or step.decision.reason is Reason.PINNED_BY_OPERATOR:
+        return ""
+    if pin.set_aside is None:
+        return f"; {describe_pin(pin)} (edgectl unpin {step.task})"
+    return f"; its pin does not count: {pin.host} is {describe_obstacle(pin.set_aside)}"
+
+
+def _describe_operator_pin(step: Step) -> str:
+    pin = step.decision.pin
+    return f"{describe_pin(pin)} by edgectl move" if pin is not None else "pinned by edgectl move"
 
 
 def _describe_extra_stops(step: Step) -> str:
@@ -218,6 +254,7 @@ def _describe_duplicate(step: Step) -> str:
 
 _REASON_DESCRIBERS: dict[Reason, Callable[[Step], str]] = {
     Reason.WITH_PREDECESSOR: _describe_with_predecessor,
+    Reason.PINNED_BY_OPERATOR: _describe_operator_pin,
     Reason.GAIN: _describe_gain,
     Reason.FORCED_INFEASIBLE: _describe_infeasible,
     Reason.RELIEF: lambda step: (

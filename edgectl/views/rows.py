@@ -2,6 +2,7 @@
 
 from edgectl.formats.document import Document, without_none
 from edgectl.model.inventory import Host, Inventory
+from edgectl.model.manager_state import ManagerState, Pin
 from edgectl.model.resource import HOST_RESOURCES, RESOURCES, TASK_RESOURCES
 from edgectl.model.snapshot import DeviceSample, HostSample, LinkSample, Snapshot, TaskSample
 from edgectl.model.task import Task, Tasks
@@ -120,6 +121,14 @@ def compute_task_age(sample: TaskSample, value: Snapshot) -> float | None:
     return max(0.0, value.taken_at - since) if since else None
 
 
+def encode_pin(pin: Pin | None, now: float) -> Document | None:
+    """The pin of an operator on a task; None: there is none, or it has ended."""
+    if pin is None or not pin.is_active(now):
+        return None
+    until = None if pin.until is None else format_instant(pin.until)
+    return {"pinned_to": pin.host, "pinned_at": format_instant(pin.since), "pinned_until": until}
+
+
 def encode_run_row(name: str, host: str, sample: TaskSample, demand: Amounts, value: Snapshot) -> Document:
     """One task on one host: its state, its usage and its demand; of what has ended, no usage."""
     alive = sample.state.alive
@@ -160,6 +169,7 @@ def encode_run_row(name: str, host: str, sample: TaskSample, demand: Amounts, va
         log_tail=list(sample.log_tail) or None,
         metrics=dict(sample.metrics) or None,
         latency=encode_latency(sample.latency),
+        pin=_find_pin(name, value),
     )
 
 
@@ -173,4 +183,9 @@ def encode_absent_row(task: Task, value: Snapshot) -> Document:
         state=known.state,
         contacted_at=None if known.contact is None else format_instant(known.contact),
         managed=task.managed,
+        pin=_find_pin(task.name, value),
     )
+
+
+def _find_pin(task: str, value: Snapshot) -> Document | None:
+    return encode_pin((value.manager or ManagerState()).pins.get(task), value.taken_at)

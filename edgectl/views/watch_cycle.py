@@ -5,6 +5,7 @@ from dataclasses import field
 
 from edgectl.dataclass import dataclass
 from edgectl.formats.document import Document, without_none
+from edgectl.formats.event_document import encode_event
 from edgectl.model.assignment import Reason
 from edgectl.model.cycle import Cycle
 from edgectl.model.event import Event, EventKind
@@ -16,7 +17,6 @@ from edgectl.model.snapshot import HostSample, Snapshot, find_doubled_tasks
 from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.rules.other_managers import describe_unlisted_host, list_tasks_on_unlisted_hosts
 from edgectl.units import format_instant
-from edgectl.views.events import encode_event
 from edgectl.views.glossary import list_shown_weights
 from edgectl.views.output import ItemView
 from edgectl.views.output_format import CYCLE_FORMATS

@@ -21,6 +21,7 @@ import pytest
 import edgectl
 from edgectl.agent.link import boot, stub
 from edgectl.transport import agent_client as protocol
+from edgectl.transport import enter_program
 from edgectl.transport.base import Reply
 from tests.agent.conftest import AgentHost
 from tests.pace import patience
@@ -290,7 +291,7 @@ def test_no_user_code_runs_on_the_host(
 def test_agent_needs_no_later_python_than_3_6() -> None:
     vermin = Path(sys.executable).parent / "vermin"
     done = subprocess.run(
-        [vermin, "-q", "--no-tips", "-t=3.6-", "--violations", AGENT],
+        [vermin, "-q", "--no-tips", "-t=3.6-", "--violations", AGENT, enter_program.__file__],
         capture_output=True,
         text=True,
         check=False,

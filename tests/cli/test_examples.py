@@ -31,10 +31,13 @@ SERVING = ("edgectl export prometheus --listen 127.0.0.1:9815",)
 # With a stand-in for the packages of ROS; make ros runs them with real ones.
 PUBLISHING = ("edgectl export ros", "edgectl export ros --setup /opt/ros/humble/setup.bash")
 WATCHING = ("edgectl watch --apply --every 30s",)
+# They become another program.
+BECOMING = ("edgectl exec", "edgectl ssh")
 ASKING = ("edgectl apply", "edgectl drain edge1", "edgectl rollback")
 BUSY = 75  # the demo's tasks run
 FULL = 4  # the other edges of the demo have no room for all that runs on edge1
 CODES = {
+    "edgectl events test --kind task-failed": 64,  # the example fleet states no on_event
     "edgectl plan --without edge2 --detailed-exitcode": 3,  # slam-robot2 is pinned there
     "edgectl profile slam-robot1 --write --yes": 1,  # too few samples after these few commands
     "edgectl wait map-merge --for completed --timeout 2s": 1,
@@ -59,7 +62,9 @@ def examples() -> list[str]:
 
     found: list[str] = []
     for name, entry in COMMANDS.items():
-        function = getattr(import_module(f"edgectl.{entry.module}"), f"{name.replace(' ', '_')}_command")
+        function = getattr(
+            import_module(f"edgectl.{entry.module}"), f"{name.replace(' ', '_').replace('-', '_')}_command"
+        )
         found += [line.strip() for line in split_docstring(function)[1].splitlines()]
     early = [line for start in EARLY for line in found if line.startswith(start)]
     late = [line for start in LATE for line in found if line.startswith(start)]
@@ -68,11 +73,19 @@ def examples() -> list[str]:
 
 
 def starts_a_process(line: str) -> bool:
-    return line in (*ASKING, *WATCHING, *ENDLESS, *SERVING, *PUBLISHING) or "-w" in line.split()
+    return (
+        line.startswith(BECOMING)
+        or line in (*ASKING, *WATCHING, *ENDLESS, *SERVING, *PUBLISHING)
+        or "-w" in line.split()
+    )
 
 
 def run_process(line: str, site: Path, env: dict[str, str]) -> int:
     words = line.split()[1:]
+    if line.startswith(BECOMING):
+        with Terminal(words, site, env=env) as terminal:
+            terminal.type("exit 0\n")
+            return terminal.wait()
     if line in ASKING:
         with Terminal(words, site, env=env) as terminal:
             terminal.type("yes\n")

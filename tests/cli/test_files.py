@@ -77,8 +77,9 @@ def test_a_wheel_holds_the_files_themselves(tmp_path: Path) -> None:
     ]
     subprocess.run(command, check=True, capture_output=True, timeout=patience(110))
     with zipfile.ZipFile(next(tmp_path.glob("*.whl"))) as wheel:
-        for name in SCAFFOLD_FILES[1:]:
+        for name in SCAFFOLD_FILES[2:]:
             assert wheel.read(f"edgectl/scaffold/{name}") == (ROOT / name).read_bytes()
+        assert "edgectl/scaffold/edgectl.yaml" in wheel.namelist()
         assert any(name.startswith("edgectl/agent/") for name in wheel.namelist())
         assert "edgectl/experiments/report/page.html" in wheel.namelist()
 

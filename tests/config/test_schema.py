@@ -15,6 +15,7 @@ ROOT = Path(__file__).parents[2]
 FILES = {
     "inventory": ["inventories/*.yaml", "tasks/patrol/fleet.yaml"],
     "tasks": ["tasks/*.yaml", "tasks/patrol/tasks.yaml"],
+    "project": ["edgectl/scaffold/edgectl.yaml"],
     "experiment": ["tasks/patrol/experiment.yaml"],
     "scenario": ["docs/scenarios/*.yaml"],
 }

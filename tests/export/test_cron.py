@@ -18,7 +18,7 @@ from tests.e2e.bench import a_mark, list_sleepers, wait_for_sleepers
 from tests.pace import patience
 
 JOB = ScheduledJob(
-    name="lab", program=("/opt/edgectl/bin/edgectl",), inventory="/srv/lab/lab.yaml", tasks=("/srv/lab/tasks",), directory="/srv/lab", user="ana"
+    name="lab", program=("/opt/edgectl/bin/edgectl",), inventories=("/srv/lab/lab.yaml",), tasks=("/srv/lab/tasks",), directory="/srv/lab", user="ana"
 )  # fmt: skip
 AWKWARD = 'it\'s 100% $HOME "a b" & co; #1'
 
@@ -91,9 +91,9 @@ def test_what_cron_cannot_hold_is_refused(path: str) -> None:
     from dataclasses import replace
 
     with pytest.raises(UsageError, match="cannot be quoted"):
-        format_cron_command(replace(JOB, inventory=path))
+        format_cron_command(replace(JOB, inventories=(path,)))
     with pytest.raises(UsageError, match="cron takes at most 998"):
-        format_cron_command(replace(JOB, inventory="/" + "x" * 990))
+        format_cron_command(replace(JOB, inventories=("/" + "x" * 990,)))
 
 
 INVENTORY = (

@@ -24,7 +24,7 @@ from tests.pace import patience
 from tests.sshd import Lab
 
 JOB = ScheduledJob(
-    name="lab", program=("/bin/true",), inventory="/srv/lab/lab.yaml", tasks=("/srv/lab/tasks",), directory="/srv/lab", user="root"
+    name="lab", program=("/bin/true",), inventories=("/srv/lab/lab.yaml",), tasks=("/srv/lab/tasks",), directory="/srv/lab", user="root"
 )  # fmt: skip
 AWKWARD = 'it\'s 100% $HOME ${PATH} "a b" %h;'
 
@@ -51,7 +51,7 @@ def test_systemd_accepts_the_units(tmp_path: Path, user: bool, local: bool) -> N
     for number, path in enumerate(("/srv/lab", str(odd))):
         job = replace(
             JOB,
-            inventory=f"{path}/lab.yaml",
+            inventories=(f"{path}/lab.yaml",),
             directory=path,
             environment={"EDGECTL_STATE_DIR": f"{path}/state"},
             local=local,
@@ -189,7 +189,7 @@ def test_systemd_hands_over_every_word_as_it_was(manager: UserSystemd | None, tm
         "import json, os, sys\njson.dump([sys.argv[1:], os.getcwd(), os.environ['EDGECTL_STATE_DIR']], open(sys.argv[0] + '.json', 'w'))\nsys.exit(75)\n"
     )
     job = replace(
-        JOB, program=(sys.executable, str(script)), inventory=f"{folder}/lab.yaml", tasks=("$A", "${B}", "%t"), directory=str(folder),
+        JOB, program=(sys.executable, str(script)), inventories=(f"{folder}/lab.yaml",), tasks=("$A", "${B}", "%t"), directory=str(folder),
         environment={"EDGECTL_STATE_DIR": f"{folder}/$state"}, name="words", local=True,
     )  # fmt: skip
     units = build_timer_units(job, user=False)

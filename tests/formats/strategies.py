@@ -10,6 +10,7 @@ from edgectl.model.assignment import (
     DemandSpread,
     ExpectedLoad,
     MoveCost,
+    OperatorPin,
     RankedHost,
     Reason,
     Rejection,
@@ -19,7 +20,7 @@ from edgectl.model.assignment import (
     Verdict,
 )
 from edgectl.model.inventory import Role
-from edgectl.model.manager_state import ManagerState, MeasuredDemand, Placement
+from edgectl.model.manager_state import ManagerState, MeasuredDemand, Pin, Placement
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy, PolicyName, SequenceRule, Weights
 from edgectl.model.resource import HOST_RESOURCES, MEASURED_HOST_RESOURCES, RESOURCES, Usage
@@ -182,6 +183,9 @@ memories = st.builds(
         max_size=2,
     ),
     synced=dictionaries_of(counts),
+    pins=dictionaries_of(
+        st.builds(Pin, host=names, since=instants, until=optional_of(instants), machine=texts)
+    ),
     noise=dictionaries_of(dictionaries_of(amounts)),
 )
 snapshots = st.builds(
@@ -244,6 +248,14 @@ decisions = st.builds(
     ranking=st.lists(ranked, max_size=2).map(tuple),
     rejection_counts=dictionaries_of(counts),
     demand=demands,
+    pin=optional_of(
+        st.builds(
+            OperatorPin,
+            host=names,
+            until=optional_of(instants),
+            set_aside=optional_of(st.sampled_from(RejectionRule)),
+        )
+    ),
 )
 steps = st.builds(
     Step,

@@ -15,6 +15,7 @@ from edgectl.model.assignment import (
     DemandSpread,
     ExpectedLoad,
     MoveCost,
+    OperatorPin,
     Overuse,
     RankedHost,
     Reason,
@@ -27,7 +28,7 @@ from edgectl.model.assignment import (
 )
 from edgectl.model.inventory import Role
 from edgectl.model.latency import LatencySample
-from edgectl.model.manager_state import ManagerState, MeasuredDemand, Placement
+from edgectl.model.manager_state import ManagerState, MeasuredDemand, Pin, Placement
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy, PolicyName, Preference, SequenceRule, Weights
 from edgectl.model.predicted_latency import PredictedLatency
@@ -104,11 +105,12 @@ PLACEMENT = Placement(
 MEASURED = MeasuredDemand(
     samples=60, span_s=300.5, used={"cpu": 0.25, "memory": 7.0, "network": 1.5}, spec_hash="s"
 )
+PIN = Pin(host="h", since=1.0, until=2.0, machine="m")
 MANAGER = ManagerState(
     managed=True, placements={"t": PLACEMENT}, first={"t": "h"}, cordons=frozenset({"a"}), draining=frozenset({"b"}), done={"t": "s"},
     downtimes={("t", "h"): (1.5, 2.0)}, stays={"t": (60.0, 90.5)}, contact={"h": 1.5}, fenced=frozenset({"c"}),
     deferred={"t": "d"}, measured={("t", "4c-8Gi"): MEASURED}, orphans={"h": ("t",)}, synced={"h": 4},
-    noise={"h": {"cpu": 0.25}},
+    noise={"h": {"cpu": 0.25}}, pins={"t": PIN},
 )  # fmt: skip
 SNAPSHOT = Snapshot(taken_at=1.5, hosts={"h": HOST}, manager=MANAGER)
 WEIGHTS = Weights({name: 0.1 * place for place, name in enumerate(TERM_NAMES, 1)})
@@ -158,9 +160,11 @@ RANKED = RankedHost(
     predicted_latency=PREDICTED,
 )
 COST = MoveCost(stay_s=600.0, downtime_s=4.5, per_s=0.25)
+OPERATOR_PIN = OperatorPin(host="h", until=2.0, set_aside=RejectionRule.CORDONED)
 DECISION = Decision(
     task="t", verdict=Verdict.KEPT, reason=Reason.DWELL, host="h", previous_host="g", total=0.1, lead=0.2, challenger="c", subject="s",
     amount=1.0, cost=COST, nearest="n", overcommitted=True, ranking=(RANKED,), rejection_counts={"stale": 2}, demand=(RHO,),
+    pin=OPERATOR_PIN,
 )  # fmt: skip
 STANDBY = StandbyStep(
     host="h", action=StandbyAction.KEEP, reason=StandbyReason.DWELL, instance="i", subject="g", amount=-1.5, total=-0.5, demand=Usage(cpu=0.5, memory=2.0),
@@ -180,7 +184,7 @@ PLAN = Plan(
     shortages=(SHORTAGE,), certificate=CERTIFICATE,
 )  # fmt: skip
 VALUES = [
-    LINK, LATENCY, TASK, INTERFACE, DEVICE, CPU_USE, MEMORY_USE, HOST, PLACEMENT, MANAGER, SNAPSHOT, WEIGHTS, POLICY, REJECTION, TERMS, PREDICTED, RANKED, COST, DECISION,
+    LINK, LATENCY, TASK, INTERFACE, DEVICE, CPU_USE, MEMORY_USE, HOST, PLACEMENT, PIN, OPERATOR_PIN, MANAGER, SNAPSHOT, WEIGHTS, POLICY, REJECTION, TERMS, PREDICTED, RANKED, COST, DECISION,
     STANDBY, STEP, EXPECTED, PLAN, MEASURED, RHO, UNEVEN, OTHER, OVERUSE, SHORTAGE, CERTIFICATE,
 ]  # fmt: skip
 

@@ -6,6 +6,7 @@ from itertools import pairwise
 from random import Random
 from typing import TypeVar
 
+import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -13,11 +14,12 @@ from edgectl.executor.diff import diff_assignment
 from edgectl.model.assignment import Assignment, Decision, RankedHost, Reason, Verdict
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
-from edgectl.model.plan import Action
+from edgectl.model.plan import Action, Step
 from edgectl.model.policy import Policy, PolicyName, Weights
 from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
 from edgectl.model.task import OnboardRule, Task, Tasks
+from edgectl.scheduler import settle
 from edgectl.scheduler.assign import assign
 from tests.builders import (
     GI,
@@ -357,3 +359,37 @@ def test_every_policy_decides_every_task(
         moves = [d for d in found.decisions if d.reason in (Reason.GAIN, Reason.GAIN_OVER_COST)]
         if not attended and name is PolicyName.UTILITY and found.settled:
             assert len(moves) <= (policy.max_moves or 0)
+
+
+@quick
+@given(cases(), st.sampled_from(PolicyName))
+def test_a_plan_without_numbers_puts_every_task_where_the_explained_one_does(
+    case: Case, policy: PolicyName
+) -> None:
+    used = replace(case.policy, name=policy)
+    given_ = (case.inventory, case.tasks, case.snapshot, case.memory, used, NOW)
+    full, plain = assign(*given_), assign(*given_, explain=False)
+    assert _list_outcomes(plain) == _list_outcomes(full)
+    assert plain.settled == full.settled
+    assert [(step.task, step.action, step.stop) for step in _diff(case, plain)] == [
+        (step.task, step.action, step.stop) for step in _diff(case, full)
+    ]
+
+
+@quick
+@given(cases(), st.sampled_from(PolicyName))
+def test_a_pass_that_is_taken_to_repeat_itself_does(case: Case, policy: PolicyName) -> None:
+    used = replace(case.policy, name=policy)
+    given_ = (case.inventory, case.tasks, case.snapshot, case.memory, used, NOW)
+    short = assign(*given_)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(settle, "repeats_itself", lambda *_: False)
+        assert repr(assign(*given_)) == repr(short)
+
+
+def _list_outcomes(assignment: Assignment) -> list[tuple[str, Verdict, str | None, str | None]]:
+    return [(each.task, each.verdict, each.host, each.previous_host) for each in assignment.decisions]
+
+
+def _diff(case: Case, assignment: Assignment) -> tuple[Step, ...]:
+    return diff_assignment(assignment, case.tasks, case.snapshot, case.memory)

@@ -24,6 +24,7 @@ from edgectl.transport.etcd_client import EtcdClient
 from edgectl.usecases import operator_marks
 from edgectl.usecases.apply import ApplyOptions, ApplyResult, plan_and_apply
 from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.pins import pin_task, unpin_tasks
 from edgectl.usecases.plan import make_plan
 from edgectl.usecases.watch import WatchOptions, watch_fleet
 from tests.builders import a_task, an_edge, an_inventory, some_tasks
@@ -123,6 +124,22 @@ def test_another_machine_takes_over_with_an_empty_home(site: Site) -> None:
     operator_marks.uncordon_hosts(site.manager("ben"), ["edge2"])
     apply(ana)
     assert load_manager_state(ana.state).cordons == frozenset()
+
+
+def test_a_pin_of_one_manager_holds_for_the_other(site: Site) -> None:
+    """ben, whose own files are empty, unpins it; ana's plan knows, although her own file still has it."""
+    ana = site.manager("ana")
+    apply(ana)
+    there = "edge2" if site.hosts.placed["t1"] == "edge1" else "edge1"
+    pin_task(ana, Policy(), "t1", there)
+    assert unpin_tasks(site.manager("ben"), ["t1"]) == {"t1": True}
+    assert list(load_manager_state(ana.state).pins) == ["t1"]
+    pin_task(site.manager("ben"), Policy(), "t1", there)
+    apply(ana)
+    assert site.hosts.placed["t1"] == there
+    unpin_tasks(site.manager("ben"), ["t1"])
+    apply(ana)
+    assert load_manager_state(ana.state).pins == {}
 
 
 def test_silence_counts_from_the_take_over(site: Site) -> None:

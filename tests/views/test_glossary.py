@@ -14,16 +14,19 @@ from edgectl.experiments.views.map_score import MapScoreView
 from edgectl.experiments.views.replay import ReplayView
 from edgectl.formats.document import Document
 from edgectl.model.cycle import Cycle
+from edgectl.model.event import EventHook
 from edgectl.model.host_key import HostKeyReport
 from edgectl.model.resource import RESOURCES
 from edgectl.rules.awaited_state import AwaitedState, TaskProgress
 from edgectl.views.byte_counters import ByteCountersView
+from edgectl.views.config import ContextRow, ContextsView, Setting, SettingsView
 from edgectl.views.diagnosis import DiagnosisView
 from edgectl.views.dry_run import RequestsView
 from edgectl.views.events import EventsView
 from edgectl.views.explanation import ExplanationView
 from edgectl.views.glossary import KeyEntry, KeyType, list_keys
 from edgectl.views.history import HistoryView, RevisionView
+from edgectl.views.hook_trials import HookTrialsView
 from edgectl.views.host_keys import HostKeysView
 from edgectl.views.listing import ListingChangesView
 from edgectl.views.listing_items import ListingKind, compare_listings
@@ -76,6 +79,7 @@ def list_views() -> Iterator[View]:
         ByteCountersView(test_byte_counters.FOUND),
         ProfilersView(test_profilers.FOUND),
         DiagnosisView(test_diagnosis.FOUND),
+        HookTrialsView([(EventHook(command=("mail",)), "failed", 0.25)]),
     )
     yield ExplanationView(*test_explanation.taken_apart())
     yield ExplanationView(*test_explanation.with_latency())
@@ -92,6 +96,10 @@ def list_views() -> Iterator[View]:
     yield MapScoreView(0.5)
     yield HostKeysView(
         [HostKeyReport(host="edge1", key_type="ssh-ed25519", fingerprint="SHA256:x", state="known")]
+    )
+    yield SettingsView([Setting(name="tasks", values=("a", "b"), origin="-t")], ["no inventory"], origin=True)
+    yield ContextsView(
+        [ContextRow(name="lab", chosen=True, inventories=("lab.yaml",), tasks=(), origin="edgectl.yaml:3")]
     )
     yield WaitView([TaskProgress(task="slam", reached=True, state="ready", host="edge1")], AwaitedState.READY)
 
@@ -172,6 +180,7 @@ NOT_IN_THE_SAMPLES = {
     "retries_per_s", "access_point", "joined_s", "counters",
     "latency", "count", "misses", "bound_ms", "p50_ms", "p95_ms", "p99_ms", "max_ms", "recent_s", "recent_count", "recent_misses",
     "object", "type", "speed_bytes_per_s", "resident", "user", "hold", "release", "proxy_jump", "cut_off_from",
+    "pinned_at", "pinned_until",
 }  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from edgectl.formats.event_document import encode_event
 from edgectl.model.event import Event, EventKind
 from edgectl.model.snapshot import DeviceSample
 from edgectl.views import events
@@ -16,7 +17,7 @@ def test_why_a_task_has_no_place() -> None:
         .splitlines()[1]
         .endswith("  task-unplaced  slam     no host may run it now")
     )
-    assert events.encode_event(event)["message"] == "no-candidate"
+    assert encode_event(event)["message"] == "no-candidate"
 
 
 def test_a_clock_is_ahead_or_behind() -> None:

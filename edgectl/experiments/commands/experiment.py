@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Exit, Option
 
 from edgectl.cli import console, options
-from edgectl.cli.user_files import load_inputs
+from edgectl.cli.user_files import load_named_inputs
 from edgectl.errors import ExitCode, UsageError
 from edgectl.experiments.commands.scheme_options import EquivalenceOption, parse_equivalence
 from edgectl.views.output_format import EXPERIMENT_FORMATS, OutputFormat
@@ -60,7 +60,7 @@ def experiment_run_command(
     from edgectl.usecases.control import Control
 
     named_inventory, named_tasks = load_experiment_paths(spec)
-    loaded = load_inputs(inventory or named_inventory, tasks or ([named_tasks] if named_tasks else None))
+    loaded = load_named_inputs(inventory, tasks, named_inventory, named_tasks)
     problems = Problems()
     experiment = load_experiment(spec, loaded.inventory, loaded.tasks, problems)
     loaded = replace(loaded, exposed=(*loaded.exposed, *select_exposed(problems.warnings)))

@@ -6,7 +6,7 @@ from typing import Annotated
 from typer import Argument, Option
 
 from edgectl.cli import console, options
-from edgectl.cli.user_files import load_inputs
+from edgectl.cli.user_files import load_named_inputs
 from edgectl.experiments.commands.scheme_options import EquivalenceOption, PoliciesOption, WeightsListOption
 from edgectl.views.output_format import OutputFormat
 
@@ -55,7 +55,7 @@ def simulate_command(
     bound = parse_equivalence(equivalence)
     run = None if against is None else load_run(against)
     named_inventory, named_tasks = load_scenario_paths(scenario)
-    loaded = load_inputs(inventory or named_inventory, tasks or ([named_tasks] if named_tasks else None))
+    loaded = load_named_inputs(inventory, tasks, named_inventory, named_tasks)
     mission = load_scenario(scenario, loaded.inventory, loaded.tasks)
     schemes = parse_schemes(loaded.tasks.policy, policies, weights, [])
     results = list(simulate_schemes(loaded.inventory, loaded.tasks, mission, schemes, runs=runs, seed=seed))

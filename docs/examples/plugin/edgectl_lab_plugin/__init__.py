@@ -1,0 +1,67 @@
+"""One plugin of each kind for edgectl, as small as they can be."""
+
+import json
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from edgectl.api import (
+    Finding,
+    Host,
+    HostFacts,
+    Inventory,
+    LocalTransport,
+    Session,
+    Severity,
+    Snapshot,
+    Transport,
+)
+
+
+def check_memory(
+    inventory: Inventory, answers: Mapping[str, object], _snapshot: Snapshot | None
+) -> Iterator[Finding]:
+    """A check of the doctor: hosts with less than 2 GiB of memory cannot hold the lab's maps."""
+    for name in inventory.hosts:
+        facts = answers.get(name)
+        if isinstance(facts, HostFacts) and facts.total_bytes < 2 * 2**30:
+            yield Finding(
+                host=name,
+                check="lab memory",
+                level=Severity.WARNING,
+                message=f"{facts.total_bytes / 2**30:.1f} GiB of memory; maps of the lab need 2 GiB",
+                remedy=f"give {name} smaller maps: map_resolution: 0.1",
+            )
+        elif isinstance(facts, HostFacts):
+            yield Finding(
+                host=name, check="lab memory", level=Severity.OK, message="enough for maps of the lab"
+            )
+
+
+class LoudTransport:
+    """The local machine, as ``connection: local``; each connection is reported on standard error."""
+
+    def __init__(self) -> None:
+        self._local: Transport = LocalTransport()
+
+    def connect(self, host: Host, *, timeout: float) -> Session:
+        """Open a session and say so."""
+        sys.stderr.write(f"loud-local: {host.name}\n")
+        return self._local.connect(host, timeout=timeout)
+
+    def address(self, host: Host) -> str:
+        """The address of this machine."""
+        return self._local.address(host)
+
+
+def make_transport() -> Transport:
+    """The transport for hosts with ``transport: loud-local``."""
+    return LoudTransport()
+
+
+def append_to_file(document: Mapping[str, Any], options: Mapping[str, str]) -> None:
+    """A notifier: append the events to ``options["path"]``, one JSON object a line."""
+    with Path(options["path"]).open("a") as file:
+        for event in document["items"]:
+            file.write(json.dumps({"fleet": document["fleet"], **event}) + "\n")

@@ -1,0 +1,71 @@
+"""move and unpin commands."""
+
+from typing import Annotated
+
+from typer import Exit, Option
+
+from edgectl.cli import console, exit_codes, options
+from edgectl.cli.user_files import load_inputs
+from edgectl.errors import ExitCode
+
+
+def move_command(
+    *,
+    task: options.TaskArgument,
+    host: options.HostArgument,
+    duration: Annotated[
+        str | None, Option("--for", metavar="TIME", help="How long it stays there; else until unpin.")
+    ] = None,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    dry_run: options.DryRunMarkOption = False,
+) -> None:
+    """Pin a task to a host: the next apply moves it there, and no load and no weight moves it away until the
+    time is over or it is unpinned.
+
+    Refused where the host can never run the task. While the host is lost, cordoned or drained, the pin does
+    not count. Exit 4 if the host does not answer.
+
+    Examples:
+        edgectl move navigation-robot1 edge2
+        edgectl move navigation-robot1 edge2 --for 1h
+        edgectl move navigation-robot1 edge2 --dry-run
+    """
+    from edgectl.cli.connect import build_fleet, parse_duration_option
+    from edgectl.usecases.pins import pin_task
+    from edgectl.views.reasons import describe_pin, describe_reason
+
+    loaded = load_inputs(inventory, tasks)
+    moved = pin_task(
+        build_fleet(loaded),
+        loaded.tasks.policy,
+        task,
+        host,
+        duration=None if duration is None else parse_duration_option(duration, "--for"),
+        dry_run=dry_run,
+    )
+    console.print_text(f"task/{task} {describe_pin(moved.pin)}{options.DRY_RUN_SUFFIX if dry_run else ''}\n")
+    console.print_message(f"next apply: {describe_reason(moved.step)}")
+    raise Exit(exit_codes.of_plan(moved.plan, detailed=False, allow_unreachable=True))
+
+
+def unpin_command(
+    *,
+    names: options.TasksArgument,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    dry_run: options.DryRunMarkOption = False,
+) -> None:
+    """Remove the pins that move has set. The tasks stay where they are until a plan finds a better host.
+
+    Examples:
+        edgectl unpin navigation-robot1
+    """
+    from edgectl.cli.connect import build_fleet
+    from edgectl.usecases.pins import unpin_tasks
+
+    found = unpin_tasks(build_fleet(load_inputs(inventory, tasks)), names, dry_run=dry_run)
+    for name, pinned in found.items():
+        act = "unpinned" if pinned else "was not pinned"
+        console.print_text(f"task/{name} {act}{options.DRY_RUN_SUFFIX if dry_run else ''}\n")
+    raise Exit(ExitCode.DONE)

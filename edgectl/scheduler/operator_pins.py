@@ -1,0 +1,135 @@
+"""Pins that operators set on tasks by ``edgectl move`` (ADR 140). Pure.
+
+A pin that can be followed acts as the pin of a task file. One that cannot is set aside, with the reason, and
+the task is placed as if it had none.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+from edgectl.model.assignment import Decision, OperatorPin, Reason, RejectionRule, Verdict
+from edgectl.model.manager_state import ManagerState, Pin
+from edgectl.model.task import NothingFits, Task, Tasks, join_units
+from edgectl.scheduler.candidates import NEW_WORK_ONLY
+from edgectl.scheduler.capacities import Capacities
+from edgectl.scheduler.feasibility import find_own_robot, find_rule_against
+from edgectl.scheduler.initial_state import InitialState
+from edgectl.scheduler.ledger import compute_demand_usage
+from edgectl.scheduler.utility import EPSILON
+
+# Reasons for the place of a task that has only one candidate, which the pin explains better.
+_EXPLAINED_BY_PIN = (
+    Reason.BEST,
+    Reason.PINNED,
+    Reason.ONLY_FEASIBLE,
+    Reason.WITH_PREDECESSOR,
+    Reason.TOGETHER,
+    Reason.STILL_BEST,
+    Reason.FORCED_RULE,
+    Reason.FORCED_DRAIN,
+)
+
+
+def resolve_pins(
+    tasks: Tasks,
+    manager: ManagerState,
+    fleet: Capacities,
+    state: InitialState,
+    now: float,
+    *,
+    best_effort: bool = False,
+) -> dict[str, OperatorPin]:
+    """The pins that hold at ``now`` by task, each with the reason that sets it aside, if one does."""
+    active = {name: pin for name, pin in manager.pins.items() if name in tasks.tasks and pin.is_active(now)}
+    units = join_units(tasks.tasks) if active else {}
+    found = {}
+    for name, pin in active.items():
+        host = find_pinned_host(pin, fleet)
+        mates = [tasks.tasks[mate] for mate in units.get(name, (name,))]
+        found[name] = OperatorPin(
+            host=host or pin.host,
+            until=pin.until,
+            set_aside=_find_obstacle(mates, host, fleet, state, best_effort=best_effort),
+        )
+    return found
+
+
+def find_pinned_host(pin: Pin, fleet: Capacities) -> str | None:
+    """The name of the pinned host in the inventory: as it was, or of the host on its machine; None: gone."""
+    if pin.host in fleet.index:
+        return pin.host
+    found = [
+        host.name
+        for host, sample in zip(fleet.places, fleet.samples, strict=True)
+        if pin.machine and sample is not None and sample.machine == pin.machine
+    ]
+    # Slices of one machine cannot be told apart.
+    return found[0] if len(found) == 1 else None
+
+
+def _find_obstacle(
+    mates: Iterable[Task], host: str | None, fleet: Capacities, state: InitialState, *, best_effort: bool
+) -> RejectionRule | None:
+    """Why ``mates``, which share a host, may not all be on ``host``, even if it were idle; None: they may."""
+    if host is None:
+        return RejectionRule.NOT_LISTED
+    place = fleet.index[host]
+    for task in mates:
+        closed = fleet.closed.get(place)
+        running = state.running.get(task.name)
+        runs_there = running is not None and running.place == place
+        stays = runs_there and place not in fleet.hard and closed is not None and closed.rule in NEW_WORK_ONLY
+        if closed is not None and not stays:
+            return closed.rule
+        rule = find_pin_obstacle(task, host, fleet, best_effort=best_effort)
+        if rule is not None:
+            return rule
+    return None
+
+
+def find_pin_obstacle(
+    task: Task, host: str, fleet: Capacities, *, best_effort: bool = False
+) -> RejectionRule | None:
+    """Why ``task`` can never be on ``host``, even if nothing else ran there; None: it can."""
+    place = fleet.index[host]
+    robot = place >= fleet.edges
+    if robot and place != find_own_robot(fleet, task):
+        return RejectionRule.ONBOARD
+    rule = find_rule_against(fleet.places[place], task, robot=robot)
+    if rule is not None or best_effort or task.if_nothing_fits is NothingFits.BEST_EFFORT:
+        return rule
+    use = compute_demand_usage(fleet, task, place)
+    if any(amount > fleet.usable[name][place] + EPSILON for name, amount in use.used.items()):
+        return RejectionRule.INSUFFICIENT
+    if robot:
+        return None
+    links = {name: fleet.links[name][place] for name in task.robots if name in fleet.links}
+    if any(capacity is None for capacity in links.values()):
+        return RejectionRule.NO_LINK
+    short = any((capacity or 0.0) + EPSILON < use.links.get(name, 0.0) for name, capacity in links.items())
+    return RejectionRule.INSUFFICIENT if short else None
+
+
+def pin_tasks(order: Sequence[Task], pins: Mapping[str, OperatorPin]) -> list[Task]:
+    """``order`` with every pin that counts as one of the task file; tasks that go together share it."""
+    hosts = {name: pin.host for name, pin in pins.items() if pin.set_aside is None}
+    units = join_units({task.name: task for task in order}) if hosts else {}
+    for name, host in list(hosts.items()):
+        for mate in units.get(name, ()):
+            hosts.setdefault(mate, host)
+    return [
+        replace(task, hosts=replace(task.hosts, pin=hosts[task.name])) if task.name in hosts else task
+        for task in order
+    ]
+
+
+def explain_pins(decisions: Sequence[Decision], pins: Mapping[str, OperatorPin]) -> tuple[Decision, ...]:
+    """``decisions``, each with the pin of its task, which is the reason of a place that it decided."""
+    return tuple(_explain_pin(each, pins.get(each.task)) for each in decisions) if pins else tuple(decisions)
+
+
+def _explain_pin(decision: Decision, pin: OperatorPin | None) -> Decision:
+    if pin is None or decision.verdict not in (Verdict.PLACED, Verdict.KEPT, Verdict.UNPLACED):
+        return decision
+    decided = pin.set_aside is None and decision.host == pin.host and decision.reason in _EXPLAINED_BY_PIN
+    return replace(decision, pin=pin, reason=Reason.PINNED_BY_OPERATOR if decided else decision.reason)

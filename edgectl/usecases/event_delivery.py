@@ -1,0 +1,159 @@
+"""Delivery of recorded events to ``on_event``: bookkeeping, and the start of the courier."""
+
+import contextlib
+import dataclasses
+import os
+import sys
+import time
+from collections.abc import Iterator
+
+from edgectl.dataclass import dataclass
+from edgectl.errors import StateError
+from edgectl.model.event import Event, EventHook, EventKind
+from edgectl.model.secret import Secret
+from edgectl.state.event_cursor import (
+    EventCursor,
+    EventCursors,
+    digest_event,
+    hold_courier_lock,
+    load_cursors,
+    name_hook,
+    update_cursors,
+)
+from edgectl.usecases.event_courier import CourierJob
+from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.hook_run import build_hook_document, mask_secrets, run_hook
+
+_COURIERS: list[int] = []
+
+
+@contextlib.contextmanager
+def deliver_recorded_events(fleet: Fleet) -> Iterator[None]:
+    """Deliver what is recorded within the block, and what an earlier run left, in the background.
+
+    Nothing of it fails the caller: a hook that cannot be run is a warning, once.
+    """
+    hooks = {name_hook(hook) for hook in fleet.inventory.on_event}
+    try:
+        if hooks - load_cursors(fleet.state, fleet.warn).hooks.keys():
+            _begin_at_newest_event(fleet, hooks)
+    except (StateError, OSError) as error:
+        fleet.warn(f"on_event: {error}")
+    yield
+    try:
+        cursors = load_cursors(fleet.state, fleet.warn)
+        if cursors.untold:
+            _tell_failures(fleet)
+        if _has_events_after(fleet, cursors):
+            _start_courier(fleet)
+    except (StateError, OSError) as error:
+        fleet.warn(f"on_event: {error}")
+
+
+def _begin_at_newest_event(fleet: Fleet, hooks: set[str]) -> None:
+    """A new hook begins with the next event, and hooks that left the file are forgotten."""
+    newest = fleet.history.use(fleet.state, fleet.warn, lambda store: store.events(limit=1))
+    start = EventCursor(id=newest[0].id, digest=digest_event(newest[0])) if newest else EventCursor()
+
+    def change(cursors: EventCursors) -> EventCursors:
+        kept = {name: cursors.hooks.get(name, start) for name in sorted(hooks)}
+        return dataclasses.replace(cursors, hooks=kept)
+
+    update_cursors(fleet.state, change)
+
+
+def _tell_failures(fleet: Fleet) -> None:
+    before = update_cursors(fleet.state, lambda cursors: dataclasses.replace(cursors, untold=()))
+    for message in before.untold:
+        fleet.warn(f"{message}; try it with: edgectl events test")
+
+
+def _has_events_after(fleet: Fleet, cursors: EventCursors) -> bool:
+    newest = fleet.history.use(fleet.state, fleet.warn, lambda store: store.events(limit=1))
+    if not newest:
+        return False
+    place = (newest[0].id, digest_event(newest[0]))
+    return any((cursor.id, cursor.digest) != place for cursor in cursors.hooks.values())
+
+
+def _start_courier(fleet: Fleet) -> None:
+    """Start the courier in a session of its own, unless one is at work. It is not waited for."""
+    _COURIERS[:] = [pid for pid in _COURIERS if _is_running(pid)]
+    with hold_courier_lock(fleet.state) as free:
+        if not free:
+            return
+    job = CourierJob(
+        fleet=fleet.inventory.fleet,
+        state=fleet.state.absolute(),
+        hooks=fleet.inventory.on_event,
+        secrets=list_file_secrets(fleet),
+    )
+    # On standard input, so that no secret is on a command line; a file in memory never makes the writer wait.
+    data, nowhere = os.memfd_create("courier", os.MFD_CLOEXEC), os.open(os.devnull, os.O_RDWR | os.O_CLOEXEC)
+    try:
+        os.write(data, job.to_json().encode())
+        os.lseek(data, 0, os.SEEK_SET)
+        _COURIERS.append(
+            os.posix_spawn(
+                sys.executable,
+                [sys.executable, "-P", "-m", "edgectl.usecases.event_courier"],
+                os.environ,
+                file_actions=[
+                    (os.POSIX_SPAWN_DUP2, data, 0),
+                    (os.POSIX_SPAWN_DUP2, nowhere, 1),
+                    (os.POSIX_SPAWN_DUP2, nowhere, 2),
+                ],
+                setsid=True,
+            )
+        )
+    finally:
+        os.close(data)
+        os.close(nowhere)
+
+
+def _is_running(pid: int) -> bool:
+    """Whether a courier of ours has not ended; one that has is reaped."""
+    try:
+        return os.waitpid(pid, os.WNOHANG) == (0, 0)
+    except ChildProcessError:
+        return False
+
+
+def list_file_secrets(fleet: Fleet) -> tuple[str, ...]:
+    """The values that the files mark as secret."""
+    environments = [
+        *(host.env for host in fleet.inventory.hosts.values()),
+        *(task.env for task in fleet.tasks.tasks.values()),
+    ]
+    found = {value.reveal() for env in environments for value in env.values() if isinstance(value, Secret)}
+    return tuple(sorted(found))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HookTrial:
+    """Result of one hook that was run by hand: why it failed (empty: it did not), and how long it took."""
+
+    hook: EventHook
+    failure: str
+    seconds: float
+
+
+def run_hook_trials(fleet: Fleet, kind: EventKind | None = None) -> tuple[HookTrial, ...]:
+    """Run each hook once with an example event of its first kind; with ``kind``, only hooks of that kind."""
+    trials = []
+    secrets = list_file_secrets(fleet)
+    for hook in fleet.inventory.on_event:
+        if not hook.kinds or (kind is not None and kind not in hook.kinds):
+            continue
+        event = Event(
+            at=fleet.clock(),
+            kind=kind or hook.kinds[0],
+            host=next(iter(fleet.inventory.hosts), None),
+            message="a test of on_event; nothing happened",
+        )
+        began = time.monotonic()
+        why = run_hook(hook, build_hook_document(hook, fleet.inventory.fleet, [event], secrets, test=True))
+        trials.append(
+            HookTrial(hook=hook, failure=mask_secrets(why, secrets), seconds=time.monotonic() - began)
+        )
+    return tuple(trials)

@@ -1,0 +1,50 @@
+"""Results of ``edgectl events test``: one line for each program of ``on_event``."""
+
+from collections.abc import Sequence
+
+from edgectl.formats.document import Document
+from edgectl.model.event import EventHook
+from edgectl.units import format_duration
+from edgectl.views.glossary import head
+from edgectl.views.output import ListView
+from edgectl.views.output_format import ITEM_FORMATS
+from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
+
+
+class HookTrialsView(ListView):
+    """Hooks with the reason of their failure (empty: none) and their duration in s."""
+
+    kind = "hook"
+    formats = ITEM_FORMATS
+
+    def __init__(self, trials: Sequence[tuple[EventHook, str, float]]) -> None:
+        self._trials = trials
+
+    def table(self, look: RenderOptions = PLAIN) -> str:
+        """One line per hook."""
+        rows: list[Row] = [
+            (
+                _name_program(hook),
+                Cell("failed" if why else "done", "bad" if why else "good"),
+                format_duration(seconds),
+                why or "-",
+            )
+            for hook, why, seconds in self._trials
+        ]
+        return render_columns([head("program", "outcome", "duration_s", "message"), *rows], look, wrap={3})
+
+    def items(self) -> Sequence[Document]:
+        """The trials as JSON types."""
+        return [
+            {
+                "program": _name_program(hook),
+                "outcome": "failed" if why else "done",
+                "duration_s": round(seconds, 3),
+                "message": why,
+            }
+            for hook, why, seconds in self._trials
+        ]
+
+
+def _name_program(hook: EventHook) -> str:
+    return hook.command[0] if hook.command else f"notifier {hook.notifier}"

@@ -1,0 +1,90 @@
+"""Results of the simulator, held by digests: what only makes it faster changes none of them.
+
+``python -m tests.experiments.test_simulator_digests`` prints the table, for a change that is meant to change it.
+"""
+
+import hashlib
+import random
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from edgectl.config.load import load_inventory_and_tasks
+from edgectl.config.weights import parse_weights
+from edgectl.experiments.files.scenario_file import load_scenario, load_scenario_paths
+from edgectl.experiments.model.scenario import SimRun
+from edgectl.experiments.model.schemes import build_schemes
+from edgectl.experiments.simulator import simulate_mission
+from edgectl.model.policy import PolicyName
+
+SCENARIOS = Path(__file__).parents[2] / "docs" / "scenarios"
+POLICIES = (PolicyName.LOCAL, PolicyName.STATIC, PolicyName.UTILITY, PolicyName.PAPER)
+RUNS = 2
+DIGESTS = {
+    "paper-1": {
+        "local": "218cc6e7ddae",
+        "static": "187b770102bf",
+        "utility all": "f0875110a461",
+        "paper all": "c83aeed0cb2c",
+    },
+    "paper-2": {
+        "local": "0595586e7d34",
+        "static": "1b8d7a0eb0b4",
+        "utility all": "b6758ead5065",
+        "paper all": "a7cb02f62944",
+    },
+    "changing-links": {
+        "local": "f0050c6a93fe",
+        "static": "d33c81aef73e",
+        "utility all": "fe27e529da6b",
+        "paper all": "0d4c00ff2c53",
+    },
+    "experiment": {
+        "local": "0f05861c81f2",
+        "static": "5d61f09f7441",
+        "utility all": "5d61f09f7441",
+        "paper all": "dd42a1949960",
+    },
+}
+
+
+def digest_scenario(name: str) -> Iterator[tuple[str, str]]:
+    """The digest of the runs of each scheme, to nine digits."""
+    path = SCENARIOS / f"{name}.yaml"
+    inventory_file, tasks_file = load_scenario_paths(path)
+    assert inventory_file is not None
+    assert tasks_file is not None
+    inventory, tasks, _ = load_inventory_and_tasks(inventory_file, tasks_file)
+    scenario = load_scenario(path, inventory, tasks)
+    for scheme in build_schemes(tasks.policy, POLICIES, {"all": parse_weights("all")}, []):
+        sums = hashlib.sha256()
+        endless = (
+            scheme.policy.name is PolicyName.PAPER and name == "paper-1"
+        )  # never finishes: 284 plans a run
+        for run in range(1 if endless else RUNS):
+            dice = partial(random.Random(f"7/{run}").gauss, 0.0, 1.0)
+            sums.update(
+                describe_run(simulate_mission(inventory, tasks, scenario, scheme.policy, dice)).encode()
+            )
+        yield scheme.name, sums.hexdigest()[:12]
+
+
+def describe_run(run: SimRun) -> str:
+    """Every number of a run."""
+    numbers = [run.latency, *(run.jobs[job] for job in sorted(run.jobs))]
+    for host in sorted(run.usage):
+        used = run.usage[host]
+        numbers += [used.cpu, used.cpu_peak, used.memory, used.network_bytes_per_s, used.rate or 0.0]
+    return f"{run.finished} {run.handoffs} {run.unplaced} {[f'{number:.9g}' for number in numbers]}\n"
+
+
+@pytest.mark.parametrize("name", DIGESTS)
+def test_no_result_changed(name: str) -> None:
+    assert dict(digest_scenario(name)) == DIGESTS[name]
+
+
+if __name__ == "__main__":
+    for each in ("paper-1", "paper-2", "changing-links", "experiment"):
+        print(f'    "{each}": {dict(digest_scenario(each))},')
