@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: docs image engines sensitivity latency handoffs ros ros-whole throughput quality demo experiment test test-fast check style setup audit bench faults fuzz soak clean
+.PHONY: docs image engines sensitivity latency handoffs ros ros-whole throughput quality demo experiment evaluation test test-fast check style setup audit bench faults fuzz soak clean
 PY := .venv/bin/python
 export PYTHON
 
@@ -108,7 +108,8 @@ soak: setup
 	@.ci/need-sshd
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.soak
 
-# The shipped experiment on hosts of its own: table, page and figures in runs/mission. Some fifteen minutes; REPETITIONS=1 takes a third.
+# The shipped experiment on hosts of its own: table, page and figures in runs/patrol. Some twenty minutes; REPETITIONS=1
+# takes a third, REPETITIONS=10 is the evidence. Stopped at any point, the same command resumes.
 experiment: setup
 	@.ci/need-faults
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.experiments.lab --repetitions $(or $(REPETITIONS),3)
@@ -121,6 +122,10 @@ docs: setup
 BUILDER ?= podman
 image:
 	@$(BUILDER) build --file .ci/Containerfile --tag edgectl .
+
+# Takes over runs/patrol as docs/experiment, and writes its tables and figures into docs/evaluation.md.
+evaluation: setup
+	@$(PY) -m tests.docs.evaluation
 
 clean:
 	rm -rf .site .venv .venv-ros2 .venv-cyclone .venv-engines .pytest_cache .mypy_cache .ruff_cache .hypothesis dist build

@@ -77,9 +77,9 @@ def run_trial(
     trial_fleet = create_trial_fleet(fleet, f"{scheme.name.replace(' ', '-')}-{repetition}", before)
     recorder = TrialRecorder(experiment.until)
     means = EventMeans(fleet=trial_fleet, ask=options.ask, ended=threading.Event())
+    # Draws of a policy are those of the repetition, as the times of events.
+    policy = replace(scheme.policy, seed=repetition)
     with EventPerformer(experiment.events, means, build_uniform_draw(str(repetition))) as performer:
-        # Draws of a policy are those of the repetition, as the times of events.
-        policy = replace(scheme.policy, seed=repetition)
         watch_options = _build_watch_options(trial_fleet, experiment, policy, recorder, performer, options)
         first = replace(trial_fleet, tasks=select_present_tasks(fleet.tasks, experiment.events, ()))
         if not _watch_mission(first, experiment, recorder, performer, watch_options, options.listener):

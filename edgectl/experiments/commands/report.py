@@ -100,7 +100,6 @@ def _build_report_table(run: "ExperimentRun", bound: float | None) -> "ReportTab
     return ReportTable(
         rows=_list_row_texts(build_experiment_rows(run.experiment, results, every=True)),
         notes=list(describe_experiment(run.experiment, results, compared, every=True)),
-        recovery=_list_row_texts(build_recovery_rows(results)),
         answer=describe_answer(find_primary_comparison(compared)),
         compared=_list_row_texts(
             build_comparison_rows(compared, {column.name: column for column in columns})
