@@ -90,7 +90,7 @@ WeightsOption = Annotated[
 ]
 PolicyOption = Annotated[
     PolicyName | None,
-    Option("--policy", metavar="NAME", help="utility, static, local, least-loaded, pack, random, .."),
+    Option("--policy", metavar="NAME", help="utility, static, local, least-loaded, pack, .."),
 ]
 BestEffortOption = Annotated[bool, Option("--best-effort", help="Place a task even where it does not fit.")]
 PruneOption = Annotated[bool, Option("--prune", help="Also stop the tasks of other task files.")]
