@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The oracle of simulations: a joint plan from the true speeds and links of this moment (ADR 130).
 
 It knows what every host and link gives now, without noise or delay, and the work that is left of each job. It

@@ -1,27 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """The plan: what changes, why, and the expected load; as a table, in full, as a document and as a comment."""
 
+import math
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from edgectl.formats.document import Document
 from edgectl.formats.kinds import PLAN_KIND
 from edgectl.model.assignment import Decision, RankedHost
 from edgectl.model.plan import Action, Plan, Step
-from edgectl.model.policy import Weights
-from edgectl.model.resource import TERMS
+from edgectl.model.policy import WEIGHT_PRESETS, PolicyName, Weights
+from edgectl.model.resource import RESOURCES, TERMS
 from edgectl.model.task import Tasks
+from edgectl.units import format_duration, format_instant
 from edgectl.views.demands import render_demands, render_reservations
 from edgectl.views.glossary import head, list_shown_weights
 from edgectl.views.output import View
 from edgectl.views.output_format import PLAN_FORMATS
-from edgectl.views.plan_header import (
-    render_folded_steps,
-    render_legend,
-    render_plan_header,
-    select_shown_steps,
-)
 from edgectl.views.plan_sections import (
     ACTION_STYLES,
     format_utility,
@@ -30,9 +27,25 @@ from edgectl.views.plan_sections import (
     render_notes,
     render_plan_summary,
 )
-from edgectl.views.reasons import describe_reason, describe_rejection, is_left_out, list_equal_hosts
+from edgectl.views.reasons import (
+    describe_reason,
+    describe_rejection,
+    is_left_out,
+    is_not_found,
+    list_equal_hosts,
+)
 from edgectl.views.standbys import render_standby_rows
-from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, escape_unprintable, render_columns
+from edgectl.views.text import (
+    PLAIN,
+    Cell,
+    RenderOptions,
+    Row,
+    escape_unprintable,
+    render_columns,
+    render_header,
+    style_text,
+    wrap_text,
+)
 
 if TYPE_CHECKING:
     from edgectl.views.taken_along import LastMoves
@@ -147,6 +160,14 @@ class PlanView(View):
         )
 
 
+# Above this age a snapshot is an old one: its date says more.
+_MAX_AGE_S = 3600.0
+_SYMBOL_WORDS = {
+    Action.NONE: "none: nothing is done",
+    Action.UNPLACED: "unplaced: no host fits",
+    Action.HOLD: "hold: its host does not answer",
+    Action.DEFER: "defer: later",
+}
 _STEP_HEAD = head("", "task", "now_host", "next_host", "total", "lead", "reason")
 _CANDIDATE_HEAD = head("", "task", "host", *(f"utility.{term}" for term in TERMS), "total", "reason")
 _TERM_COLUMNS = frozenset(range(3, 4 + len(TERMS)))
@@ -272,3 +293,67 @@ def escape_markdown(text: str) -> str:
     """``text`` with the characters that Markdown interprets escaped, and no live mention or link."""
     escaped = escape_unprintable(text).translate(_MARKDOWN_ESCAPES)
     return _LIVE_TEXT.sub(rf"\g<0>{_INVISIBLE_BREAK}", escaped)
+
+
+def render_plan_header(
+    value: Plan, look: RenderOptions = PLAIN, *, fleet: str = "", now: float | None = None
+) -> str:
+    """One line: fleet, policy unless it is the usual one, weights, and age of the snapshot.
+
+    ``now`` (s since 1970); None: the date of the snapshot, which is the same whenever the plan is shown.
+    """
+    age = None if now is None else max(0.0, now - value.created_at)
+    parts = [
+        *([f"fleet {fleet}"] if fleet else []),
+        *([f"policy {value.policy.name}"] if value.policy.name is not PolicyName.UTILITY else []),
+        f"weights {_format_weights(value)}",
+        f"snapshot {format_duration(age)} ago"
+        if age is not None and age <= _MAX_AGE_S
+        else f"snapshot of {format_instant(math.floor(value.created_at))}",
+    ]
+    return render_header(parts, look)
+
+
+def _format_weights(value: Plan) -> str:
+    """The name of the weights, or each of them."""
+    weights = value.policy.weights
+    named = next((name for name, preset in WEIGHT_PRESETS.items() if preset == weights), "")
+    return named or " ".join(f"{name} {weight:.3g}" for name, weight in list_shown_weights(weights).items())
+
+
+def select_shown_steps(steps: Iterable[Step]) -> list[Step]:
+    """The steps that say something new: first the changes, then what is held, deferred or without a host."""
+    shown = [step for step in steps if not _is_folded(step)]
+    return sorted(shown, key=lambda step: not step.changes)
+
+
+def _is_folded(step: Step) -> bool:
+    stays = step.action in (Action.KEEP, Action.NONE) and not is_not_found(step)
+    return stays and not step.changes
+
+
+def render_folded_steps(steps: Iterable[Step], look: RenderOptions = PLAIN) -> str:
+    """One line that counts the steps that are not shown."""
+    words = Counter(
+        "left out" if is_left_out(step) else "kept" if step.action is Action.KEEP else "completed before"
+        for step in steps
+        if _is_folded(step)
+    )
+    if not words:
+        return ""
+    counts = ", ".join(f"{count} {word}" for word, count in words.items())
+    return style_text(wrap_text(f"{Action.KEEP.symbol}  {counts} (-o wide shows all)", look, 3), "dim", look)
+
+
+def render_legend(steps: Iterable[Step], look: RenderOptions = PLAIN) -> str:
+    """What the symbols and the columns of the wide form mean."""
+    used = dict.fromkeys(step.action for step in steps)
+    symbols = ", ".join(f"{each.symbol} {_SYMBOL_WORDS.get(each, each.value)}" for each in used)
+    terms = ", ".join(resource.name.upper() for resource in RESOURCES)
+    lines = [
+        f"Symbols: {symbols}." if symbols else "",
+        f"{terms}: share of the host or link that is free with the task there; below 0, what it lacks.",
+        "AFFINITY: share of the tasks it works with that are there. UTILITY: the weighted sum.",
+        "LEAD (-o table): UTILITY above that of the next host. rank 2: the second choice.",
+    ]
+    return "Legend:\n" + "".join(wrap_text("  " + line, look, 4) for line in lines if line)

@@ -18,7 +18,6 @@ from edgectl.views.latency import RIGHT_COLUMNS, list_latency_notes, render_late
 from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import ListView
 from edgectl.views.output_format import FLEET_FORMATS
-from edgectl.views.plan_header import render_header
 from edgectl.views.plan_sections import (
     describe_overuse,
     list_doubled_notes,
@@ -60,6 +59,7 @@ from edgectl.views.text import (
     escape_unprintable,
     is_within_width,
     render_columns,
+    render_header,
     style_text,
     wrap_text,
 )

@@ -332,3 +332,15 @@ def wrap_text(text: str, look: RenderOptions, indent: int = 2) -> str:
         text, look.width, subsequent_indent=" " * indent, break_on_hyphens=False, break_long_words=False
     )
     return "\n".join(lines) + "\n"
+
+
+def render_header(parts: Iterable[str], look: RenderOptions = PLAIN) -> str:
+    """The line above a table."""
+    line = (" · " if look.unicode else ", ").join(parts)
+    return (
+        "\n".join(
+            style_text(each, "bold", look)
+            for each in wrap_text(line[:1].upper() + line[1:], look).splitlines()
+        )
+        + "\n"
+    )

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``make evaluation``: the tables and the figures of docs/evaluation.md from the run that is committed.
 
     python -m tests.docs.evaluation [--run runs/patrol]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The evaluation page states the figures of the committed run."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The oracle of simulations: joint plans from true speeds, and moves only where they pay."""
 
 from dataclasses import replace
