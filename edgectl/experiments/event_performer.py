@@ -9,6 +9,7 @@ from edgectl.errors import EdgectlError
 from edgectl.experiments.event_actions import EventMeans, begin_change, end_change
 from edgectl.experiments.held_changes import save_held_changes
 from edgectl.experiments.model.mission_event import (
+    EventCommand,
     EventCondition,
     EventRecord,
     MissionEvent,
@@ -35,6 +36,7 @@ class EventPerformer:
         self._began: float | None = None
         self._happened: set[str] = set()
         self._held: dict[str, MissionEvent] = {}
+        self._stuck: list[EventCommand] = []
         self._records: list[EventRecord] = []
         self._completed: set[str] = set()
         self._placed: set[str] = set()
@@ -118,21 +120,23 @@ class EventPerformer:
             due += event.every or 0.0
 
     def _begin(self, event: MissionEvent) -> None:
-        at = self._means.fleet.clock()
+        record = begin_record(event, self._means.fleet.clock(), self._means.fleet.tasks)
         with self._changed:
             self._held[event.name] = event
-            self._save()
-            self._records.append(begin_record(event, at, self._means.fleet.tasks))
-            index = len(self._records) - 1
-        error = self._act(begin_change, event)
+            error = self._save()
+            if error:
+                del self._held[event.name]
+        error = error or self._act(begin_change, event)
         with self._changed:
-            self._records[index] = replace(self._records[index], error=error)
+            self._records.append(replace(record, error=error))
             self._happened.add(event.name)
         if error:
             self._means.fleet.warn(f"event {event.name}: {error}")
 
     def _end(self, event: MissionEvent) -> None:
         """Undo the change; where that fails, the record of the trial keeps it for another try."""
+        if event.name not in self._held:
+            return
         error = self._act(end_change, event)
         with self._changed:
             index = max(i for i, record in enumerate(self._records) if record.event == event.name)
@@ -141,14 +145,20 @@ class EventPerformer:
             told = "; ".join(filter(None, (record.error, f"not undone: {error}" if error else "")))
             self._records[index] = replace(record, until=None if error else until, error=told)
             del self._held[event.name]
-            if not error:
-                self._save()
+            if error and event.run is not None:
+                self._stuck.append(event.run)
+            self._save()
         if error:
             self._means.fleet.warn(f"event {event.name} is not undone: {error}")
 
-    def _save(self) -> None:
-        held = [event.run for event in self._held.values() if event.run is not None]
-        save_held_changes(self._means.fleet, held)
+    def _save(self) -> str:
+        """Record what has to be undone; why the disk does not take it, "" where it does."""
+        held = [*self._stuck, *(event.run for event in self._held.values() if event.run is not None)]
+        try:
+            save_held_changes(self._means.fleet, held)
+        except EdgectlError as error:
+            return error.message
+        return ""
 
     def _act(self, act: Callable[[EventMeans, MissionEvent], str], event: MissionEvent) -> str:
         try:

@@ -102,9 +102,10 @@ def _compute_recovery(
     if any(name not in courses for name in entering):
         return None
     wanted = {name: courses[name] for name in {*before, *entering}}
+    entered = max((courses[name].times[0] for name in entering), default=at)
     recovered, good_until = None, until
     for moment in reversed(_list_moments(wanted.values(), at, until)):
-        if not _is_good(wanted, before, moment, until, rule):
+        if moment < entered or not _is_good(wanted, before, moment, until, rule):
             good_until = moment
         elif good_until >= min(moment + rule.steady, until):
             recovered = moment

@@ -34,6 +34,14 @@ idle: 25%
 metrics: {fps: mean, loss: last}
 maps: {ssim: {task: map-merge, file: out/map.yaml, truth: world.yaml}}
 """
+# To be added to it.
+EVENTS = """\
+recovery: {metric: fps, better: higher, within: 5%}
+events:
+  far: {at: 30s, every: 1m, times: 2, for: 10s, jitter: 5s, run: [tc, add], on: zinc, undo: [tc, del], kind: link}
+  door: {when: {completed: [map-merge], progress: {robot: rover2, reaches: 50%}}, ask: "open the door", deadline: 1m}
+  in: {when: {placed: [slam]}, join: rover2}
+"""
 
 
 def read(tmp_path: Path, text: str) -> Experiment:

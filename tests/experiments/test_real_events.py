@@ -3,7 +3,8 @@
 import os
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from edgectl.experiments.commands.person import ask_person
 from edgectl.experiments.event_actions import EventMeans, ask_nobody, run_event_command
 from edgectl.experiments.event_draws import build_uniform_draw
 from edgectl.experiments.event_performer import EventPerformer
+from edgectl.experiments.event_results import measure_trial_recoveries
 from edgectl.experiments.files.run_directory import load_run
 from edgectl.experiments.model.experiment import Experiment, Trial
 from edgectl.experiments.model.mission_event import (
@@ -59,8 +61,8 @@ def logged(path: Path) -> list[str]:
     return path.read_text().splitlines() if path.exists() else []
 
 
-def run_trial(bench: Bench, events: Sequence[MissionEvent], folder: Path, *tasks: Task) -> Trial:
-    experiment = Experiment(
+def build_spec(events: Sequence[MissionEvent]) -> Experiment:
+    return Experiment(
         name="mission",
         schemes=(SCHEME,),
         until=("tour",),
@@ -70,6 +72,10 @@ def run_trial(bench: Bench, events: Sequence[MissionEvent], folder: Path, *tasks
         idle=1.0,
         events=tuple(events),
     )
+
+
+def run_trial(bench: Bench, events: Sequence[MissionEvent], folder: Path, *tasks: Task) -> Trial:
+    experiment = build_spec(events)
     options = ExperimentOptions(directory=folder / "run", spec_directory=folder)
     run = run_experiment(bench.using(*tasks).fleet, experiment, options)
     assert load_run(folder / "run") == run
@@ -124,6 +130,9 @@ def test_events_act_on_hosts_and_on_the_manager_and_are_undone(bench: Bench, tmp
     assert [record.error for name, record in records.items() if name not in ("door", "broken")] == [""] * 4
     starts = {span.task: span.start for span in trial.spans}
     assert starts["slam-rover1"] < records["in"].at < starts["slam-rover2"] <= records["open"].at
+    recoveries = {record.event: found for record, found in measure_trial_recoveries(build_spec(()), trial)}
+    assert records["in"].tasks == ("slam-rover2",)
+    assert recoveries["in"] == pytest.approx(starts["slam-rover2"] - records["in"].at, abs=0.51)
     assert any("event broken: false exited with 1" in said for said in bench.said)
     assert list_sleepers(mark) == []
 
@@ -135,7 +144,7 @@ def test_a_program_ends_at_its_deadline_with_all_that_it_started(bench: Bench, o
     command = EventCommand(argv=(sys.executable, "-c", script), on=on, deadline=2.0)
     said = run_event_command(bench.fleet, command, command.argv)
     assert said == f"{sys.executable} did not end within 2 s"
-    assert list_sleepers(mark) == []
+    wait_for(lambda: list_sleepers(mark) == [])
 
 
 @pytest.mark.parametrize("on", ["", "mint"])
@@ -178,13 +187,11 @@ def test_repetitions_are_drawn_by_the_repetition_of_the_trial(bench: Bench, tmp_
     assert logged(log) == ["on", "off"] * 3, "nothing is undone twice"
 
 
-def wait_for(condition: object) -> None:
-    deadline = threading.Event()
-    for _ in range(int(patience(60.0) / 0.05)):
-        if condition():  # type: ignore[operator]
-            return
-        deadline.wait(0.05)
-    raise AssertionError("it did not come true")
+def wait_for(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + patience(60.0)
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
 
 
 def test_what_a_killed_run_has_changed_is_undone_by_the_next(bench: Bench, tmp_path: Path) -> None:
@@ -208,13 +215,35 @@ def test_what_a_killed_run_has_changed_is_undone_by_the_next(bench: Bench, tmp_p
 
     fleet = create_trial_fleet(bench.fleet, "stuck", bench.probe())
     stuck = MissionEvent(name="c", at=0.0, run=EventCommand(argv=("true",), on="mint", undo=("false",)))
-    EventPerformer([stuck], replace(means, fleet=fleet), build_uniform_draw("1")).__enter__()
+    other = MissionEvent(name="d", at=0.0, run=EventCommand(argv=log_to(log, "d"), undo=log_to(log, "und")))
+    means = EventMeans(fleet=fleet, ask=ask_nobody, ended=threading.Event())
+    with EventPerformer([stuck, other], means, build_uniform_draw("1")) as performer:
+        records = performer.finish()
+    assert [record.error for record in records] == ["not undone: false exited with 1", ""]
+    assert logged(log)[-2:] == ["d", "und"], "what comes after it is undone all the same"
     with pytest.raises(FleetBusyError, match="not undone: false exited with 1") as caught:
         clean_up_trials(bench.fleet)
     assert caught.value.hint == f"undo it on mint by hand, then delete {fleet.state / 'changes.json'}"
     (fleet.state / "changes.json").unlink()
     clean_up_trials(bench.fleet)
     assert not fleet.state.exists()
+
+
+def test_nothing_is_changed_that_could_not_be_undone_after_a_kill(bench: Bench, tmp_path: Path) -> None:
+    """The disk does not take the record of the change, so that the program does not run."""
+    log = tmp_path / "log"
+    fleet = create_trial_fleet(bench.fleet, "full", bench.probe())
+    (fleet.state / "changes.json.tmp").mkdir()
+    means = EventMeans(fleet=fleet, ask=ask_nobody, ended=threading.Event())
+    run = EventCommand(argv=log_to(log, "on"), undo=log_to(log, "off"))
+    with EventPerformer(
+        [MissionEvent(name="a", at=0.0, run=run)], means, build_uniform_draw("1")
+    ) as performer:
+        (record,) = performer.finish()
+    assert "cannot open" in record.error
+    assert logged(log) == []
+    assert any("event a: cannot open" in said for said in bench.said)
+    clean_up_trials(bench.fleet)
 
 
 def test_a_person_is_asked_at_the_terminal_only(capsys: pytest.CaptureFixture[str]) -> None:

@@ -83,6 +83,8 @@ def test_a_task_that_has_completed_need_not_run() -> None:
 def test_tasks_that_enter_have_to_run() -> None:
     courses = {"t": Course([(0.0, 1.0)], 200.0), "new": Course([(50.0, None), (64.0, 1.0)], 200.0)}
     assert compute_recoveries(courses, [(50.0, ("new",))], 200.0, RULE) == [14.0]
+    late = {**courses, "new": Course([(64.0, 1.0)], 200.0)}
+    assert compute_recoveries(late, [(50.0, ("new",))], 200.0, RULE) == [14.0], "seen only once it ran"
     assert compute_recoveries({"t": courses["t"]}, [(50.0, ("new",))], 200.0, RULE) == [None]
 
 

@@ -72,6 +72,7 @@ from tests.experiments.map_images import (
     encode_pgm,
     encode_png,
 )
+from tests.experiments.test_experiment_file import EVENTS
 from tests.experiments.test_experiment_file import FLEET as SPEC_FLEET
 from tests.experiments.test_experiment_file import GOOD as SPEC
 from tests.experiments.test_experiment_file import TASKS as SPEC_TASKS
@@ -176,7 +177,7 @@ def build_targets(directory: Path) -> Iterator[list[Target]]:
         ),
         Target(
             "experiment",
-            [SPEC.encode()],
+            [SPEC.encode(), (SPEC + EVENTS).encode()],
             _read_through_file(path, lambda file: load_experiment(file, SPEC_FLEET, SPEC_TASKS)),
         ),
         Target(
