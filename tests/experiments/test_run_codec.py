@@ -23,6 +23,7 @@ from edgectl.experiments.model.experiment import (
     PlacementInterval,
     Trial,
 )
+from edgectl.experiments.model.mission_event import EventRecord
 from edgectl.experiments.model.schemes import Scheme
 from edgectl.formats.document import FormatErrors, dump_document
 from edgectl.model.inventory import Role
@@ -38,10 +39,11 @@ TRIAL = Trial(
     readings={"fps": {"slam": (MetricReading(at=5.0, value=-12.5),)}},
     ssim={"ssim": -0.25},
     usage={"edge1": MissionUsage(cpu_s=1.25, memory=1e8, network_bytes=5000.0), "edge2": MissionUsage(cpu_s=0.5, memory=1e8)},
+    events=(EventRecord(event="near", kind="link", subject="edge1-robot1", at=3.5, until=9.25, error="e", tasks=("t",)),),
 )  # fmt: skip
 EXPERIMENT = Experiment(
     name="mission", schemes=(Scheme(name="utility all", policy=POLICY),), until=("merge",), repetitions=2, every=2.5, limit=60.0, idle=0.5,
-    metrics={"fps": MetricAggregation.LAST}, maps={"ssim": MapPair(task="merge", file="out/map.yaml", truth="world.yaml")},
+    metrics={"fps": MetricAggregation.LAST}, equivalence=0.05, maps={"ssim": MapPair(task="merge", file="out/map.yaml", truth="world.yaml")},
 )  # fmt: skip
 RUN = ExperimentRun(
     experiment=EXPERIMENT,
