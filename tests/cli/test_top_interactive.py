@@ -92,3 +92,15 @@ def test_nothing_of_it_is_imported_before(site: Path, env: dict[str, str]) -> No
         ).returncode
         == 0
     )
+
+
+def test_a_scenario_needs_no_subcommand_of_simulate() -> None:
+    assert expand_shorthand(["simulate", "x.yaml", "-n", "1"]) == ["simulate", "run", "x.yaml", "-n", "1"]
+    assert expand_shorthand(["simulate", "-n", "1", "x.yaml"]) == ["simulate", "run", "-n", "1", "x.yaml"]
+    for words in (
+        ["simulate", "sweep", "x.yaml"],
+        ["simulate", "merge", "x.yaml"],
+        ["simulate", "--help"],
+        ["simulate"],
+    ):
+        assert expand_shorthand(words) == words
