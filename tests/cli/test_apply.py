@@ -3,6 +3,7 @@
 
 import contextlib
 import json
+import re
 import signal
 import subprocess
 import time
@@ -193,7 +194,16 @@ def test_only_yes_is_a_yes(small: Path) -> None:
         terminal.until('Only "yes" is accepted: ')
         terminal.type("yes\n")
         assert terminal.wait() == 0
-        assert "Applied 1 of 1" in terminal.seen
+        named = [
+            re.findall(text, terminal.seen)
+            for text in (
+                r"Apply this action to fleet (\S+)\? ",
+                r"Applied 1 of 1 in \S+ Revision \d+ of fleet (\S+)\.",
+                r"Fleet (lab-[0-9a-f]+)",
+            )
+        ]
+        assert {each for found in named for each in found} == set(named[0]), terminal.seen
+        assert all(named), "header, question and result name the fleet"
 
 
 def test_ctrl_c_finishes_what_is_under_way(small: Path) -> None:
