@@ -42,7 +42,7 @@ DIGESTS = {
         "utility all": "c6d6f69c3974",
         "paper all": "7d6443112b2f",
     },
-    "experiment": {
+    "patrol": {
         "local": "ec51fa5347f5",
         "static": "0543f711e7bb",
         "utility all": "0543f711e7bb",
@@ -87,5 +87,5 @@ def test_no_result_changed(name: str) -> None:
 
 
 if __name__ == "__main__":
-    for each in ("paper-1", "paper-2", "changing-links", "experiment"):
+    for each in DIGESTS:
         print(f'    "{each}": {dict(digest_scenario(each))},')
