@@ -51,9 +51,8 @@ def check_radio(made: Lab) -> None:
         for device, name in classes["robot2"][edge]:
             show = [*made.prefix, "tc", "class", "show", "dev", device, "classid", name]
             shown = subprocess.run(show, env=made.environment, capture_output=True, text=True, check=True)
-            assert f"rate {rate.capitalize()} " in shown.stdout.replace("1600Kbit", "1.6mbit".capitalize()), (
-                shown.stdout
-            )
+            shown_rate = {radio.NEAR: "rate 16Mbit ", radio.FAR: "rate 1600Kbit "}[rate]
+            assert shown_rate in shown.stdout, shown.stdout
     assert {device for places in classes["robot2"].values() for device, _ in places} == {
         f"v-{name}" for name in ("robot2", "edge1", "edge2", "edge3")
     }
