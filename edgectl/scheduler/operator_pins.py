@@ -16,6 +16,7 @@ from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.feasibility import find_own_robot, find_rule_against
 from edgectl.scheduler.initial_state import InitialState
 from edgectl.scheduler.ledger import compute_demand_usage
+from edgectl.scheduler.task_usage import TaskUsage, add_usage
 from edgectl.scheduler.utility import EPSILON
 
 # Reasons for the place of a task that has only one candidate, which the pin explains better.
@@ -40,19 +41,31 @@ def resolve_pins(
     *,
     best_effort: bool = False,
 ) -> dict[str, OperatorPin]:
-    """The pins that hold at ``now`` by task, each with the reason that sets it aside, if one does."""
+    """The pins that hold at ``now`` by task, each with the reason that sets it aside, if one does.
+
+    Of pins that rules between tasks forbid together the newest counts, as of several moves of one task.
+    """
     active = {name: pin for name, pin in manager.pins.items() if name in tasks.tasks and pin.is_active(now)}
-    units = join_units(tasks.tasks) if active else {}
+    if not active:
+        return {}
+    units = join_units(tasks.tasks)
+    pinned: dict[str, str] = {}
+    for name, task in tasks.tasks.items():
+        if task.hosts.pin is not None and name not in state.fixed:
+            pinned |= dict.fromkeys(units.get(name, (name,)), task.hosts.pin)
     found = {}
-    for name, pin in active.items():
-        host = find_pinned_host(pin, fleet)
+    for name in sorted(active, key=lambda each: (-active[each].since, each)):
+        host = find_pinned_host(active[name], fleet)
         mates = [tasks.tasks[mate] for mate in units.get(name, (name,))]
+        obstacle = _find_obstacle(mates, host, fleet, state, best_effort=best_effort)
+        if obstacle is None and host is not None:
+            obstacle = _find_rule_between(mates, host, pinned, tasks)
+            if obstacle is None and name not in state.fixed:
+                pinned |= dict.fromkeys((mate.name for mate in mates), host)
         found[name] = OperatorPin(
-            host=host or pin.host,
-            until=pin.until,
-            set_aside=_find_obstacle(mates, host, fleet, state, best_effort=best_effort),
+            host=host or active[name].host, until=active[name].until, set_aside=obstacle
         )
-    return found
+    return {name: found[name] for name in active}
 
 
 def find_pinned_host(pin: Pin, fleet: Capacities) -> str | None:
@@ -69,7 +82,7 @@ def find_pinned_host(pin: Pin, fleet: Capacities) -> str | None:
 
 
 def _find_obstacle(
-    mates: Iterable[Task], host: str | None, fleet: Capacities, state: InitialState, *, best_effort: bool
+    mates: Sequence[Task], host: str | None, fleet: Capacities, state: InitialState, *, best_effort: bool
 ) -> RejectionRule | None:
     """Why ``mates``, which share a host, may not all be on ``host``, even if it were idle; None: they may."""
     if host is None:
@@ -85,7 +98,21 @@ def _find_obstacle(
         rule = find_pin_obstacle(task, host, fleet, best_effort=best_effort)
         if rule is not None:
             return rule
-    return None
+    return None if fits_unit(mates, host, fleet, best_effort=best_effort) else RejectionRule.INSUFFICIENT
+
+
+def _find_rule_between(
+    mates: Sequence[Task], host: str, pinned: Mapping[str, str], tasks: Tasks
+) -> RejectionRule | None:
+    """The rule that forbids ``mates`` on ``host`` while the tasks in ``pinned`` are on theirs."""
+    if any(pinned.get(mate.name, host) != host for mate in mates):
+        return RejectionRule.TOGETHER
+    names = {mate.name for mate in mates}
+    others = {name for name, place in pinned.items() if place == host} - names
+    apart = {other for mate in mates for other in mate.apart} & others
+    return (
+        RejectionRule.APART if apart or any(names & {*tasks.tasks[each].apart} for each in others) else None
+    )
 
 
 def find_pin_obstacle(
@@ -99,16 +126,25 @@ def find_pin_obstacle(
     rule = find_rule_against(fleet.places[place], task, robot=robot)
     if rule is not None or best_effort or task.if_nothing_fits is NothingFits.BEST_EFFORT:
         return rule
-    use = compute_demand_usage(fleet, task, place)
-    if any(amount > fleet.usable[name][place] + EPSILON for name, amount in use.used.items()):
-        return RejectionRule.INSUFFICIENT
-    if robot:
-        return None
-    links = {name: fleet.links[name][place] for name in task.robots if name in fleet.links}
-    if any(capacity is None for capacity in links.values()):
+    if not robot and any(fleet.links[name][place] is None for name in task.robots if name in fleet.links):
         return RejectionRule.NO_LINK
-    short = any((capacity or 0.0) + EPSILON < use.links.get(name, 0.0) for name, capacity in links.items())
-    return RejectionRule.INSUFFICIENT if short else None
+    return None if fits_unit((task,), host, fleet) else RejectionRule.INSUFFICIENT
+
+
+def fits_unit(mates: Iterable[Task], host: str, fleet: Capacities, *, best_effort: bool = False) -> bool:
+    """Whether ``host`` and its links have room for all of ``mates`` at once, even if only while idle."""
+    place, use = fleet.index[host], TaskUsage()
+    for task in mates:
+        if best_effort or task.if_nothing_fits is NothingFits.BEST_EFFORT:
+            return True
+        use = add_usage(use, compute_demand_usage(fleet, task, place))
+    if any(amount > fleet.usable[name][place] + EPSILON for name, amount in use.used.items()):
+        return False
+    return place >= fleet.edges or all(
+        (fleet.links[name][place] or 0.0) + EPSILON >= rate
+        for name, rate in use.links.items()
+        if name in fleet.links
+    )
 
 
 def pin_tasks(order: Sequence[Task], pins: Mapping[str, OperatorPin]) -> list[Task]:

@@ -3,6 +3,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import NoReturn
 
 from edgectl.dataclass import dataclass
 from edgectl.errors import UnansweredError, UsageError
@@ -38,6 +39,10 @@ _OBSTACLES = {
     RejectionRule.INSUFFICIENT: (
         "can never run on {host}: it demands more than the whole host, or its link, has",
         "edgectl describe task {task}; edgectl get hosts",
+    ),
+    RejectionRule.APART: (
+        "may not run on {host}: the file of a task that it is apart from pins that one there",
+        "change apart or hosts.pin in {file}",
     ),
     RejectionRule.NO_LINK: ("can never run on {host}, which has no link to its robot", "edgectl doctor"),
 }
@@ -87,12 +92,15 @@ def pin_task(
     pins = {task: each for task, each in manager.pins.items() if task not in unit} | {name: pin}
     pinned = dataclasses.replace(snapshot, manager=dataclasses.replace(manager, pins=pins))
     plan = make_plan(fleet, policy, snapshot=pinned)
+    step = next(step for step in plan.steps if step.task == name)
+    if step.decision.pin is not None and step.decision.pin.set_aside in _OBSTACLES:
+        _refuse_pin(fleet, name, host, step.decision.pin.set_aside)  # what concerns other tasks too
     if not dry_run:
         with change_marks(fleet, "move"):
             stored = load_manager_state(fleet.state, fleet.warn)
             kept = {task: each for task, each in stored.pins.items() if task not in unit}
             save_manager_state(fleet.state, dataclasses.replace(stored, pins=kept | {name: pin}))
-    return MovedTask(pin=pin, step=next(step for step in plan.steps if step.task == name), plan=plan)
+    return MovedTask(pin=pin, step=step, plan=plan)
 
 
 def unpin_tasks(fleet: Fleet, names: Sequence[str], *, dry_run: bool = False) -> dict[str, bool]:
@@ -138,12 +146,17 @@ def _check_can_run(fleet: Fleet, policy: Policy, name: str, host: str, snapshot:
     )
     rule = find_pin_obstacle(task, host, capacities, best_effort=policy.best_effort)
     if rule is not None:
-        message, hint = _OBSTACLES[rule]
-        words = {
-            "task": name,
-            "host": host,
-            "file": task.file,
-            "pin": task.hosts.pin,
-            "labels": ", ".join(f"{key}={value}" for key, value in task.hosts.labels.items()),
-        }
-        raise UsageError(f"{name} {message.format(**words)}", hint=hint.format(**words))
+        _refuse_pin(fleet, name, host, rule)
+
+
+def _refuse_pin(fleet: Fleet, name: str, host: str, rule: RejectionRule) -> NoReturn:
+    task = fleet.tasks.tasks[name]
+    message, hint = _OBSTACLES[rule]
+    words = {
+        "task": name,
+        "host": host,
+        "file": task.file,
+        "pin": task.hosts.pin,
+        "labels": ", ".join(f"{key}={value}" for key, value in task.hosts.labels.items()),
+    }
+    raise UsageError(f"{name} {message.format(**words)}", hint=hint.format(**words))

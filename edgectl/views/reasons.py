@@ -43,6 +43,12 @@ _RULE_TEXTS = {
     RejectionRule.DEADLINE_MISSED: "misses the deadline",
     RejectionRule.NOT_LISTED: "not in the inventory",
 }
+# Of a pin of an operator, where the words of a ranking would not be true.
+_OBSTACLE_TEXTS = {
+    RejectionRule.INSUFFICIENT: "too small for it",
+    RejectionRule.TOGETHER: "not where a task that goes with it is pinned",
+    RejectionRule.APART: "pinned by a task that it is apart from",
+}
 LEFT_OUT_TEXT = "left out by --target or -l"
 _FIXED_REASON_TEXTS = {
     Reason.BEST: "highest utility",
@@ -140,7 +146,7 @@ def describe_pin(pin: OperatorPin | Pin) -> str:
 
 def describe_obstacle(rule: RejectionRule) -> str:
     """What keeps a task off a host that it is pinned to."""
-    return "too small for it" if rule is RejectionRule.INSUFFICIENT else _RULE_TEXTS[rule]
+    return _OBSTACLE_TEXTS.get(rule) or _RULE_TEXTS[rule]
 
 
 def _describe_pin_beside(step: Step) -> str:

@@ -278,3 +278,59 @@ def test_the_baselines_static_and_paper_follow_a_pin_and_local_does_not() -> Non
     for name in (PolicyName.STATIC, PolicyName.PAPER):
         assert decide(look(), policy=Policy(name=name))[0].host == "edge2"
     assert decide(look(), policy=Policy(name=PolicyName.LOCAL))[0].pin is None
+
+
+def decide_all(
+    *tasks: Task, running: Mapping[str, str] | None = None, **pins: str
+) -> dict[str, tuple[str | None, RejectionRule | None]]:
+    """The host of every task, and what sets its pin aside; the pins as set one after the other."""
+    set_pins = {
+        task: Pin(host=host, since=NOW - 60.0 + turn) for turn, (task, host) in enumerate(pins.items())
+    }
+    found = run_assign(
+        FLEET,
+        some_tasks(*tasks),
+        look(running, edge2=a_sample(cores=16.0)),
+        memory=ManagerState(managed=True, pins=set_pins),
+        policy=Policy(min_dwell=0.0),
+    )
+    return {
+        each.task: (each.host, each.pin.set_aside if each.pin is not None else None)
+        for each in found.decisions
+    }
+
+
+def test_of_pins_of_tasks_that_were_joined_later_the_newest_counts() -> None:
+    """Their files did not say together when they were pinned; none of them may be left without a host."""
+    joined = a_task("zed", cpu=1.0, together=("ant",)), a_task("ant", cpu=1.0)
+    aside = RejectionRule.TOGETHER
+    for running in ({}, {"zed": "edge2", "ant": "edge2"}):
+        found = decide_all(*joined, running=running, zed="edge3", ant="edge1")
+        assert found == {"zed": ("edge1", aside), "ant": ("edge1", None)}
+        found = decide_all(*joined, running=running, ant="edge1", zed="edge3")
+        assert found == {"zed": ("edge3", None), "ant": ("edge3", aside)}
+
+
+def test_of_pins_of_tasks_that_are_apart_the_newest_counts() -> None:
+    zed, ant, aside = a_task("zed", cpu=1.0, apart=("ant",)), a_task("ant", cpu=1.0), RejectionRule.APART
+    found = decide_all(zed, ant, zed="edge3", ant="edge3")
+    assert found == {"zed": ("edge2", aside), "ant": ("edge3", None)}
+    found = decide_all(zed, ant, ant="edge3", zed="edge3")
+    assert found == {"zed": ("edge3", None), "ant": ("edge2", aside)}
+
+
+def test_the_pin_of_a_file_keeps_a_task_off_that_is_apart() -> None:
+    for zed, ant in (
+        (a_task("zed", cpu=1.0, apart=("ant",)), a_task("ant", cpu=1.0, pin="edge3")),
+        (a_task("zed", cpu=1.0), a_task("ant", cpu=1.0, pin="edge3", apart=("zed",))),
+    ):
+        found = decide_all(zed, ant, zed="edge3")
+        assert found == {"zed": ("edge2", RejectionRule.APART), "ant": ("edge3", None)}
+
+
+def test_a_pinned_host_must_have_room_for_all_that_go_together() -> None:
+    """Each fits on edge3, with 4 cores, and both only on edge2, with 16."""
+    zed, ant = a_task("zed", cpu=3.0, together=("ant",)), a_task("ant", cpu=3.0)
+    found = decide_all(zed, ant, zed="edge3")
+    assert found == {"zed": ("edge2", RejectionRule.INSUFFICIENT), "ant": ("edge2", None)}
+    assert decide_all(zed, ant, zed="edge2") == {"zed": ("edge2", None), "ant": ("edge2", None)}

@@ -187,6 +187,20 @@ def test_one_pin_holds_for_tasks_that_go_together(tmp_path: Path) -> None:
     assert bench.apply() == {"slam": "edge1", "nav": "edge1"}
 
 
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        (a_task("ant", cpu=3.5, together=("slam",)), "demands more than the whole host"),
+        (a_task("ant", cpu=0.1, apart=("slam",), pin="edge2"), "the file of a task that it is apart from"),
+    ],
+)
+def test_a_pin_that_rules_with_other_tasks_forbid_is_refused(tmp_path: Path, other: Task, said: str) -> None:
+    bench = Bench(tmp_path, SLAM, other)
+    with pytest.raises(UsageError, match=said):
+        pin_task(bench.fleet, POLICY, "slam", "edge2")
+    assert bench.pins == {}
+
+
 def test_start_undoes_stop_done_and_a_failure_and_leaves_the_rest_alone(tmp_path: Path) -> None:
     bench = Bench(tmp_path, SLAM, a_task("nav", cpu=0.1), a_task("camera", cpu=0.1))
     bench.apply()
