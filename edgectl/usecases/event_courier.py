@@ -150,7 +150,7 @@ def _run_and_record(
         _save_cursor(job, hook, reached)
         return
     began: Uptime = read_uptime()
-    why = run_hook(hook, build_hook_document(hook, job.fleet, wanted, job.secrets))
+    why = run_hook(hook, build_hook_document(hook, job.fleet, wanted, job.secrets), job.secrets)
     if not why:
         _save_cursor(job, hook, dataclasses.replace(reached, ran=began, failures=0))
         return

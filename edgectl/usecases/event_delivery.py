@@ -23,7 +23,7 @@ from edgectl.state.event_cursor import (
 )
 from edgectl.usecases.event_courier import CourierJob
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.hook_run import build_hook_document, mask_secrets, run_hook
+from edgectl.usecases.hook_run import build_hook_document, run_hook
 
 _COURIERS: list[int] = []
 
@@ -153,8 +153,7 @@ def run_hook_trials(fleet: Fleet, kind: EventKind | None = None) -> tuple[HookTr
             message="a test of on_event; nothing happened",
         )
         began = time.monotonic()
-        why = run_hook(hook, build_hook_document(hook, fleet.inventory.fleet, [event], secrets, test=True))
-        trials.append(
-            HookTrial(hook=hook, failure=mask_secrets(why, secrets), seconds=time.monotonic() - began)
-        )
+        document = build_hook_document(hook, fleet.inventory.fleet, [event], secrets, test=True)
+        why = run_hook(hook, document, secrets)
+        trials.append(HookTrial(hook=hook, failure=why, seconds=time.monotonic() - began))
     return tuple(trials)

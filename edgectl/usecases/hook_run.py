@@ -52,8 +52,8 @@ def list_hook_command(hook: EventHook) -> list[str]:
     return list(hook.command) or [sys.executable, "-P", "-m", "edgectl.usecases.run_notifier", hook.notifier]
 
 
-def run_hook(hook: EventHook, document: Document) -> str:
-    """Run the program of ``hook``; why it failed, empty if it did not.
+def run_hook(hook: EventHook, document: Document, secrets: Sequence[str] = ()) -> str:
+    """Run the program of ``hook``; why it failed, empty if it did not, without ``secrets``.
 
     It has a session of its own, so that Ctrl-C does not reach it and all that it starts ends with it.
     """
@@ -77,10 +77,17 @@ def run_hook(hook: EventHook, document: Document) -> str:
         last = _read_until_end(child, hook.timeout)
         if last is None:
             return f"did not end within {hook.timeout:g} s"
-        said = last.decode(errors="replace").strip().splitlines()
+        said = _mask_output(last, secrets).strip().splitlines()
         return "" if child.returncode == 0 else ": ".join(_list_causes(child.returncode, said[-1:]))
     finally:
         _end_group(child)
+
+
+def _mask_output(output: bytes, secrets: Sequence[str]) -> str:
+    """The text of ``output`` without the secrets: before it is cut into lines, for a part is not found."""
+    text = mask_secrets(output.decode(errors="replace"), secrets)
+    # A full tail may begin within a secret.
+    return text[max(map(len, secrets), default=0) :] if len(output) >= _MAX_OUTPUT_BYTES else text
 
 
 def _list_causes(status: int, said: Sequence[str]) -> list[str]:

@@ -262,3 +262,17 @@ def test_trials_tell_what_works(tmp_path: Path) -> None:
         "failed with exit code 1"
     ]
     assert list_file_secrets(fleet) == ("hunter2",)
+
+
+@pytest.mark.parametrize(("before", "after"), [(0, 0), (190, 0), (0, 4090), (150, 4000)])
+def test_a_secret_that_is_cut_is_masked_too(before: int, after: int) -> None:
+    """By the end of the line that is told, by the part of the output that is kept, and by the end of a line."""
+    secrets = ("hunter2\nthe second line", "hunter2-and-more")
+    said = "'x' * int(sys.argv[1]) + sys.argv[2] + 'y' * int(sys.argv[3])"
+    for secret in secrets:
+        program = (sys.executable, "-c", f"import sys; sys.exit({said})")
+        hook = EventHook(command=(*program, str(before), secret, str(after)))
+        failure = run_hook(hook, build_hook_document(hook, "lab-1", EVENTS[:1], secrets), secrets)
+        assert failure.startswith("failed with exit code 1: ")
+        told = failure.removeprefix("failed with exit code 1: ")
+        assert set(told) <= set("xy*"), told
