@@ -54,7 +54,9 @@ def _run_event(state: SimState, event: MissionEvent) -> Generator[Any, Any, None
 def _begin_change(state: SimState, event: MissionEvent) -> int:
     """Make the change; the index of its record."""
     integrate_loads(state)
-    state.happening = {**state.happening, event.name: event}
+    # One that is repeated without an end begins anew, so that it is the latest.
+    others = {name: other for name, other in state.happening.items() if name != event.name}
+    state.happening = {**others, event.name: event}
     state.happened.add(event.name)
     state.overlay = _build_overlay(state)
     state.records.append(begin_record(event, state.env.now, state.all_tasks))

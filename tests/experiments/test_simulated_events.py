@@ -255,3 +255,15 @@ def test_events_at_the_beginning_precede_the_first_plan() -> None:
     run = simulate((MissionEvent(name="off", at=0.0, lost=first),), task)
     assert run.latency == close_to(100.0)
     assert run.usage[first].cpu == 0.0
+
+
+def test_a_repeated_event_without_an_end_counts_again_when_it_happens() -> None:
+    """A quarter of the link from 10 s and again from 50 s on, half of it from 30 s: 10 + 5 + 10 s of work until
+    50 s, and 75 s at a quarter.
+    """
+    quarter, half = (LinkChange(edge="zinc", robot="rover2", throughput=share * 4e5) for share in (0.25, 0.5))
+    again = MissionEvent(name="zap", at=10.0, every=40.0, times=2, link=quarter)
+    once = MissionEvent(name="ant", at=30.0, link=half)
+    task = a_task("t", cpu=1.0, throughput=4e5, robots=["rover2"], only=["zinc"])
+    for events in ((again, once), (once, again)):
+        assert simulate(events, task).latency == close_to(350.0)
