@@ -89,13 +89,15 @@ class EventPerformer:
             self._changed.notify_all()
 
     def finish(self) -> tuple[EventRecord, ...]:
-        """End all waits, undo what still holds, and return what happened, by the clock of the fleet."""
+        """End all waits, undo what still holds, the last change first, and return what happened, by the clock of
+        the fleet.
+        """
         with self._changed:
             self._means.ended.set()
             self._changed.notify_all()
         for thread in self._threads:
             thread.join()
-        for name in list(self._held):
+        for name in reversed(list(self._held)):
             self._end(self._held[name])
         return tuple(sorted(self._records, key=lambda record: record.at))
 
@@ -123,6 +125,7 @@ class EventPerformer:
     def _begin(self, event: MissionEvent) -> None:
         record = begin_record(event, self._means.fleet.clock(), self._means.fleet.tasks)
         with self._changed:
+            self._held.pop(event.name, None)  # of a repetition the place is the last one
             self._held[event.name] = event
             error = self._save()
             if error:

@@ -2,6 +2,7 @@
 """Events of trials with real processes, on three edges whose names are in reverse order, through the real agent."""
 
 import os
+import signal
 import sys
 import threading
 import time
@@ -228,6 +229,52 @@ def test_what_a_killed_run_has_changed_is_undone_by_the_next(bench: Bench, tmp_p
     (fleet.state / "changes.json").unlink()
     clean_up_trials(bench.fleet)
     assert not fleet.state.exists()
+
+
+def test_changes_that_hold_at_the_end_are_undone_in_reverse(bench: Bench, tmp_path: Path) -> None:
+    """Three on one link, one upon the other; the first again after the third."""
+    log = tmp_path / "log"
+    fleet = create_trial_fleet(bench.fleet, "nested", bench.probe())
+    means = EventMeans(fleet=fleet, ask=ask_nobody, ended=threading.Event())
+    events = [
+        MissionEvent(
+            name=name, run=EventCommand(argv=log_to(log, name), undo=log_to(log, f"un{name}")), **when
+        )
+        for name, when in (
+            ("zed", {"at": 0.0, "every": 0.2, "times": 2}),
+            ("mid", {"at": 0.0}),
+            ("ant", {"at": 0.0}),
+        )
+    ]
+    with EventPerformer(events, means, build_uniform_draw("1")) as performer:
+        performer.begin_mission()
+        wait_for(lambda: len(logged(log)) == 4)
+        performer.finish()
+    assert logged(log) == ["zed", "mid", "ant", "zed", "unzed", "unant", "unmid"]
+
+
+def test_a_change_during_which_the_manager_is_killed_is_undone(bench: Bench, tmp_path: Path) -> None:
+    """By its own command, after it has acted and before anybody could note that."""
+    log = tmp_path / "log"
+    fleet = create_trial_fleet(bench.fleet, "dead", bench.probe())
+    killer = f"{LOG}; import os; os.kill(os.getppid(), 9)"
+    events = [
+        MissionEvent(name="zed", at=0.0, run=EventCommand(argv=log_to(log, "a"), undo=log_to(log, "una"))),
+        MissionEvent(
+            name="ant",
+            at=0.0,
+            run=EventCommand(argv=(sys.executable, "-c", killer, str(log), "b"), undo=log_to(log, "unb")),
+        ),
+    ]
+    manager = os.fork()
+    if manager == 0:
+        means = EventMeans(fleet=fleet, ask=ask_nobody, ended=threading.Event())
+        EventPerformer(events, means, build_uniform_draw("1")).__enter__()
+        os._exit(0)
+    assert os.waitstatus_to_exitcode(os.waitpid(manager, 0)[1]) == -signal.SIGKILL
+    assert logged(log) == ["a", "b"]
+    clean_up_trials(bench.fleet)
+    assert logged(log) == ["a", "b", "unb", "una"]
 
 
 def test_nothing_is_changed_that_could_not_be_undone_after_a_kill(bench: Bench, tmp_path: Path) -> None:
