@@ -69,15 +69,18 @@ def resolve_pins(
 
 
 def find_pinned_host(pin: Pin, fleet: Capacities) -> str | None:
-    """The name of the pinned host in the inventory: as it was, or of the host on its machine; None: gone."""
-    if pin.host in fleet.index:
-        return pin.host
-    found = [
-        host.name
+    """The name of the pinned host in the inventory: of the host on its machine, also where another one has
+    its name now, else the name as it was; None: gone.
+    """
+    machines = {
+        host.name: sample.machine
         for host, sample in zip(fleet.places, fleet.samples, strict=True)
-        if pin.machine and sample is not None and sample.machine == pin.machine
-    ]
+        if sample is not None and sample.machine
+    }
     # Slices of one machine cannot be told apart.
+    found = [name for name, machine in machines.items() if pin.machine and machine == pin.machine]
+    if pin.host in fleet.index and (len(found) != 1 or machines.get(pin.host, pin.machine) == pin.machine):
+        return pin.host
     return found[0] if len(found) == 1 else None
 
 

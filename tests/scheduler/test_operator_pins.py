@@ -172,6 +172,21 @@ def test_a_pin_follows_its_machine_to_a_new_name() -> None:
     assert unsure.pin.set_aside is RejectionRule.NOT_LISTED
 
 
+def test_a_pin_follows_its_machine_where_two_hosts_have_exchanged_their_names() -> None:
+    """Only where it is known which machine the host of that name is, and that another one is the pinned."""
+    manager = replace(PINNED, pins={"slam": Pin(host="edge2", since=0.0, machine="m2")})
+    for machines, host in (
+        (("m3", "m1", "m2"), "edge1"),
+        (("m3", "m2", "m1"), "edge2"),
+        (("m3", "m9", "m1"), "edge2"),
+        (("m3", "", "m2"), "edge2"),
+        (("m2", "m9", "m2"), "edge2"),
+    ):
+        named = zip(LOADS, machines, strict=True)
+        hosts = {name: replace(a_sample(), machine=machine) for name, machine in named}
+        assert decide(a_snapshot(hosts), manager=manager)[0].host == host
+
+
 def test_a_task_waits_for_room_on_its_host_and_others_make_it() -> None:
     """edge2 has 2 of 4 cores left and needs 3: bulk, which may go elsewhere, makes room."""
     big = a_task("slam", cpu=3.0)
