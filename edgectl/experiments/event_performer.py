@@ -89,9 +89,7 @@ class EventPerformer:
             self._changed.notify_all()
 
     def finish(self) -> tuple[EventRecord, ...]:
-        """End all waits, undo what still holds, the last change first, and return what happened, by the clock of
-        the fleet.
-        """
+        """End all waits, undo what still holds, the last first; what happened, by the fleet's clock."""
         with self._changed:
             self._means.ended.set()
             self._changed.notify_all()
