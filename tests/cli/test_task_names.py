@@ -82,7 +82,7 @@ def test_a_selector_that_matches_nothing_is_said(run: Run, site: Path) -> None:
         (["fence", "edge1"], ["edge/edge1 fenced (dry run)"]),
         (["unfence", "edge1"], ["edge/edge1 unfenced (dry run)"]),
         (["reopen", "slam-robot3"], ["task/slam-robot3 reopened (dry run)"]),
-        (["unpin", "slam-robot3"], ["task/slam-robot3 was not pinned (dry run)"]),
+        (["unpin", "slam-robot3"], ["task/slam-robot3 was not pinned by edgectl move (dry run)"]),
     ],
 )
 def test_a_dry_run_of_a_mark_prints_it_and_leaves_none(
