@@ -24,9 +24,18 @@ from edgectl.usecases.probe import probe_fleet
 
 # Why a host can never run a task, and what would change that.
 _OBSTACLES = {
-    RejectionRule.PIN: ("is pinned to {pin} by its task file, not to {host}", "change hosts.pin of {entry} in its task file"),
-    RejectionRule.NOT_ONLY: ("may not run on {host}: hosts.only leaves it out", "add it to hosts.only of {entry} in its task file"),
-    RejectionRule.NEVER: ("may not run on {host}: it is in hosts.never", "remove it from hosts.never of {entry} in its task file"),
+    RejectionRule.PIN: (
+        "is pinned to {pin} by its task file, not to {host}",
+        "change hosts.pin of {entry} in its task file",
+    ),
+    RejectionRule.NOT_ONLY: (
+        "may not run on {host}: hosts.only leaves it out",
+        "add it to hosts.only of {entry} in its task file",
+    ),
+    RejectionRule.NEVER: (
+        "may not run on {host}: it is in hosts.never",
+        "remove it from hosts.never of {entry} in its task file",
+    ),
     RejectionRule.LABELS: (
         "may not run on {host}, which lacks the labels {labels}",
         "label it in the inventory: labels: {{..}}",

@@ -179,7 +179,9 @@ def test_without_a_terminal_the_dry_run_of_the_same_command_is_named(
     monkeypatch.setattr("sys.stdin", io.StringIO())
     told = run(*words.split())
     verb = words.split()[0]
-    assert (told.code, f"pass --yes, or check first: edgectl {verb} --dry-run" in told.err) == (64, True), told
+    assert (told.code, f"pass --yes, or check first: edgectl {verb} --dry-run" in told.err) == (64, True), (
+        told
+    )
     assert run(*words.split(), "--dry-run").code == 0
     assert hosts.placed == {"t0": "edge1", "t1": "edge2"}
 

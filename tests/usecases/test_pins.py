@@ -100,9 +100,24 @@ def test_the_last_of_several_moves_counts(bench: Bench) -> None:
         (SLAM, "edge9", "unknown host 'edge9'", "did you mean edge"),
         (a_task("slam", cpu=5.0), "edge2", "demands more than the whole host", "edgectl describe task slam"),
         (a_task("slam", cpu=0.1, labels={"gpu": "yes"}), "edge2", "lacks the labels gpu=yes", "label it"),
-        (a_task("slam", cpu=0.1, never=["edge2"]), "edge2", "in hosts.never", "hosts.never of slam in its task file"),
-        (a_task("slam", cpu=0.1, only=["edge1"]), "edge2", "hosts.only leaves it out", "hosts.only of slam in its task file"),
-        (a_task("slam", cpu=0.1, pin="edge1"), "edge2", "pinned to edge1 by its task file", "hosts.pin of slam in its"),
+        (
+            a_task("slam", cpu=0.1, never=["edge2"]),
+            "edge2",
+            "in hosts.never",
+            "hosts.never of slam in its task file",
+        ),
+        (
+            a_task("slam", cpu=0.1, only=["edge1"]),
+            "edge2",
+            "hosts.only leaves it out",
+            "hosts.only of slam in its task file",
+        ),
+        (
+            a_task("slam", cpu=0.1, pin="edge1"),
+            "edge2",
+            "pinned to edge1 by its task file",
+            "hosts.pin of slam in its",
+        ),
         (
             replace(a_task("slam", cpu=0.1), onboard=OnboardRule.ONLY),
             "edge2",
