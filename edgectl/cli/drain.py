@@ -36,7 +36,8 @@ def drain_command(
     from edgectl.views.other_tasks import list_foreign_notes
     from edgectl.views.results import DrainView
 
-    asked = apply_session.check_can_confirm(asked=not (yes or dry_run))
+    first = "check first: edgectl drain --dry-run"
+    asked = apply_session.check_can_confirm(asked=not (yes or dry_run), first=first)
     loaded = load_inputs(inventory, tasks)
     fleet = build_fleet(loaded)
     with apply_session.open_apply_session(

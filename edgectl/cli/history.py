@@ -104,7 +104,8 @@ def rollback_command(
     from edgectl.usecases.plan import keep_whole_plan
     from edgectl.usecases.plan_execution import ApplyOptions
 
-    asked = apply_session.check_can_confirm(asked=not change.yes and not change.dry_run)
+    first = "check first: edgectl rollback --dry-run"
+    asked = apply_session.check_can_confirm(asked=not change.yes and not change.dry_run, first=first)
     fleet = build_fleet(load_inputs(inventory, tasks))
     policy = fleet.tasks.policy
     if change.dry_run:

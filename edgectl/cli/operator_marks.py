@@ -87,7 +87,7 @@ def fence_command(
     check_known_names([host], operator_marks.list_fenceable_hosts(fleet), "host")
     if dry_run:
         return _report_hosts([host], fleet.inventory, "fenced", dry_run=True)
-    apply_session.check_can_confirm(asked=not yes)
+    apply_session.check_can_confirm(asked=not yes, first="check first: edgectl fence --dry-run")
     if not yes and not apply_session.ask_confirmation(
         f"If {host} of fleet {fleet.inventory.fleet} is still on, its tasks will run twice. "
         "Type its name if it is powered off: ",

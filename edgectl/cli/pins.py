@@ -70,6 +70,11 @@ def unpin_command(
     fleet = build_fleet(load_inputs(inventory, tasks))
     found = unpin_tasks(fleet, expand_task_names(names, fleet.tasks), dry_run=dry_run)
     for name, pinned in found.items():
-        act = "unpinned" if pinned else "was not pinned"
+        act = "unpinned" if pinned else "was not pinned by edgectl move"
         console.print_text(f"task/{name} {act}{options.DRY_RUN_SUFFIX if dry_run else ''}\n")
+        task = fleet.tasks.tasks.get(name)
+        if task is not None and task.hosts.pin is not None:
+            console.print_message(
+                f"note: {name} is pinned to {task.hosts.pin} by hosts.pin of {task.template} in its task file"
+            )
     raise Exit(ExitCode.DONE)

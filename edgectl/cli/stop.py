@@ -51,7 +51,8 @@ def stop_command(
 
     if bool(names) == every:
         raise UsageError("name tasks, or pass --all", hint="list running tasks: edgectl status")
-    asked = apply_session.check_can_confirm(asked=not (yes or dry_run))
+    first = "check first: edgectl stop --dry-run"
+    asked = apply_session.check_can_confirm(asked=not (yes or dry_run), first=first)
     fleet = build_fleet(load_inputs(inventory, tasks))
     names = expand_task_names(names or (), fleet.tasks)
     with apply_session.open_apply_session(
@@ -95,11 +96,14 @@ def start_command(
     from edgectl.cli.connect import build_fleet, parse_lock_timeout
     from edgectl.usecases.stop import start_tasks
 
-    asked = apply_session.check_can_confirm(asked=not (yes or dry_run))
+    first = "check first: edgectl start --dry-run"
+    asked = apply_session.check_can_confirm(asked=not (yes or dry_run), first=first)
     loaded = load_inputs(inventory, tasks)
     fleet = build_fleet(loaded)
     names = expand_task_names(names, fleet.tasks)
-    with apply_session.open_apply_session(quiet=False, output=output, asked=asked, dry_run=dry_run) as act:
+    with apply_session.open_apply_session(
+        quiet=False, output=output, asked=asked, dry_run=dry_run, fleet=fleet.inventory.fleet
+    ) as act:
         applied = start_tasks(
             fleet,
             loaded.tasks.policy,
@@ -134,7 +138,8 @@ def restart_command(
     from edgectl.cli.connect import build_fleet, parse_lock_timeout
     from edgectl.usecases.stop import restart_task
 
-    asked = apply_session.check_can_confirm(asked=not (yes or dry_run))
+    first = "check first: edgectl restart --dry-run"
+    asked = apply_session.check_can_confirm(asked=not (yes or dry_run), first=first)
     fleet = build_fleet(load_inputs(inventory, tasks))
     task = resolve_task_name(task, fleet.tasks)
     with apply_session.open_apply_session(

@@ -75,7 +75,7 @@ def _get_task_host(fleet: Fleet, task: str) -> Host:
         )
     if found is None and silent:
         raise UnansweredError(
-            f"{task} has not run on any host that answers; no answer from {', '.join(silent)}",
+            f"{task} is on no host that answers; no answer from {', '.join(silent)}",
             hint="edgectl doctor",
         )
     if found is None and placed is not None and placed.host not in fleet.inventory.hosts:
@@ -84,5 +84,5 @@ def _get_task_host(fleet: Fleet, task: str) -> Host:
         )
     if found is None:
         check_known_names([task], fleet.tasks.tasks, "task")
-        raise UsageError(f"{task} has not run on any host", hint="edgectl status")
+        raise UsageError(f"{task} is on no host: it never ran, or was stopped", hint="edgectl status")
     return found

@@ -25,16 +25,25 @@ from edgectl.usecases.probe import probe_fleet
 
 # Why a host can never run a task, and what would change that.
 _OBSTACLES = {
-    RejectionRule.PIN: ("is pinned to {pin} by its task file, not to {host}", "change hosts.pin in {file}"),
-    RejectionRule.NOT_ONLY: ("may not run on {host}: hosts.only leaves it out", "add it in {file}"),
-    RejectionRule.NEVER: ("may not run on {host}: it is in hosts.never", "remove it in {file}"),
+    RejectionRule.PIN: (
+        "is pinned to {pin} by its task file, not to {host}",
+        "change hosts.pin of {entry} in its task file",
+    ),
+    RejectionRule.NOT_ONLY: (
+        "may not run on {host}: hosts.only leaves it out",
+        "add it to hosts.only of {entry} in its task file",
+    ),
+    RejectionRule.NEVER: (
+        "may not run on {host}: it is in hosts.never",
+        "remove it from hosts.never of {entry} in its task file",
+    ),
     RejectionRule.LABELS: (
         "may not run on {host}, which lacks the labels {labels}",
         "label it in the inventory: labels: {{..}}",
     ),
     RejectionRule.ONBOARD: (
-        "may not run on {host}: onboard decides which robots and edges take it",
-        "edgectl describe task {task}",
+        "may not run on {host}: its onboard, or that of its robot, leaves {host} out",
+        "change onboard of {entry} in its task file, or of the robot in the inventory",
     ),
     RejectionRule.INSUFFICIENT: (
         "can never run on {host}: it demands more than the whole host, or its link, has",
@@ -155,7 +164,7 @@ def _refuse_pin(fleet: Fleet, name: str, host: str, rule: RejectionRule) -> NoRe
     words = {
         "task": name,
         "host": host,
-        "file": task.file,
+        "entry": task.template,
         "pin": task.hosts.pin,
         "labels": ", ".join(f"{key}={value}" for key, value in task.hosts.labels.items()),
     }

@@ -140,14 +140,15 @@ def _render_contributions(value: Explanation, look: RenderOptions) -> str:
     rows: list[Row] = [(*head("term", "weight"), *hosts, Cell("ADDS TO LEAD", "head"))]
     shown = list_shown_weights({each.term: each.weight for each in value.contributions})
     for each in (each for each in value.contributions if each.term in shown):
-        style = "good" if each.lead > 0 else "bad" if each.lead < 0 else "dim"
+        shown_lead = round(each.lead, 3)
+        style = "good" if shown_lead > 0 else "bad" if shown_lead < 0 else "dim"
         rows.append(
             (
                 each.term,
                 f"{each.weight:.3f}",
                 format_utility(each.here),
                 format_utility(each.there),
-                Cell(f"{each.lead:+.3f}", style),
+                Cell(format_utility(each.lead, signed=True), style),
             )
         )
     decision, total = value.decision, sum(each.lead for each in value.contributions)
@@ -158,7 +159,7 @@ def _render_contributions(value: Explanation, look: RenderOptions) -> str:
             "",
             format_utility(decision.total),
             format_utility(other),
-            Cell(f"{total:+.3f}", "bold"),
+            Cell(format_utility(total, signed=True), "bold"),
         )
     )
     return render_columns(rows, look, right={1, 2, 3, 4})

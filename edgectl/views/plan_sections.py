@@ -62,10 +62,11 @@ ACTION_STYLES = {
 
 
 def format_utility(value: float | None, *, signed: bool = False) -> str:
-    """A utility with three decimals, or a dash."""
+    """A utility with three decimals, or a dash; never -0.000."""
     if value is None:
         return "-"
-    return f"{value:+.3f}" if signed else f"{value:.3f}"
+    shown = round(value, 3) + 0.0
+    return f"{shown:+.3f}" if signed else f"{shown:.3f}"
 
 
 def render_expected_load(value: Plan, look: RenderOptions = PLAIN) -> str:

@@ -141,7 +141,7 @@ def list_equal_hosts(decision: Decision) -> list[str]:
 
 def describe_pin(pin: OperatorPin | Pin) -> str:
     """``pinned to edge2 until 2026-11-23T14:05:00Z``."""
-    return f"pinned to {pin.host}" + ("" if pin.until is None else f" until {format_instant(pin.until)}")
+    return f"pinned to {pin.host}" + ("" if pin.until is None else f" until {format_instant(int(pin.until))}")
 
 
 def describe_obstacle(rule: RejectionRule) -> str:

@@ -70,6 +70,26 @@ def list_unhealthy_tasks(value: Snapshot) -> list[str]:
     ]
 
 
+def is_restarting(sample: TaskSample) -> bool:
+    """Whether a task has crashed and waits for its next start, or is not yet up after it."""
+    return sample.state is TaskState.STARTING and sample.last_exit not in (None, 0)
+
+
+def list_restarting_tasks(value: Snapshot) -> list[str]:
+    """The tasks that crashed and are not up again, each with its host and figures."""
+    return [
+        f"{name} on {host} ({_describe_restarts(sample)})"
+        for host, each in value.hosts.items()
+        for name, sample in each.tasks.items()
+        if is_restarting(sample)
+    ]
+
+
+def _describe_restarts(sample: TaskSample) -> str:
+    plural = "s" * (sample.restarts != 1)
+    return f"{sample.restarts} restart{plural}, last exit {sample.last_exit}"
+
+
 def list_failed_needs(task: Task | None, failed: Collection[str]) -> list[str]:
     """The tasks that ``task`` needs and that have failed."""
     return [need.task for need in task.needs if need.task in failed] if task is not None else []
@@ -107,7 +127,7 @@ def format_task_state(sample: TaskSample) -> str:
     if sample.state is TaskState.FAILED and sample.detail == "exited with 0":
         return "exited (exit code 0)"
     if sample.state is TaskState.CRASHLOOP and sample.last_exit is not None:
-        return f"failed ({sample.restarts} restarts, last exit {sample.last_exit})"
+        return f"failed ({_describe_restarts(sample)})"
     return sample.state.value + (f" ({sample.detail})" if sample.detail else "")
 
 
@@ -159,4 +179,6 @@ def describe_attention(sample: TaskSample) -> str:
         return _ORPHAN_REMARK
     if sample.state is TaskState.UNHEALTHY:
         return format_task_state(sample)
+    if is_restarting(sample):
+        return f"restarts after a crash ({_describe_restarts(sample)})"
     return f"limits: {sample.limits}" if sample.limits.startswith("not") and sample.state.alive else ""

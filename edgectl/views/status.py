@@ -46,7 +46,9 @@ from edgectl.views.state import (
     find_failed_tasks,
     format_silence,
     format_task_state,
+    is_restarting,
     list_failed_needs,
+    list_restarting_tasks,
     list_task_remarks,
     list_unhealthy_tasks,
     resolve_absent_task,
@@ -150,7 +152,7 @@ class StatusView(ListView):
 
     def _render_header(self, look: RenderOptions, problems: int) -> str:
         hosts = self._snapshot.hosts.values()
-        running = {name for name, _, sample in list_task_runs(self._snapshot) if sample.state.alive}
+        running = {name for name, _, sample in self._list_alive_runs() if not is_restarting(sample)}
         parts = [
             f"fleet {self._inventory.fleet}",
             f"{sum(name in running for name in self._tasks.tasks)}/{len(self._tasks.tasks)} tasks run",
@@ -173,6 +175,12 @@ class StatusView(ListView):
         if unhealthy:
             first.append(
                 f"{len(unhealthy)} of {len(self._tasks.tasks)} tasks unhealthy: {', '.join(unhealthy)}"
+            )
+        restarting = list_restarting_tasks(self._snapshot)
+        if restarting:
+            first.append(
+                f"{len(restarting)} of {len(self._tasks.tasks)} tasks restarting after a crash: "
+                + ", ".join(restarting)
             )
         standbys = list_standby_faults(self._tasks, self._snapshot)
         if standbys:

@@ -82,7 +82,7 @@ def test_a_selector_that_matches_nothing_is_said(run: Run, site: Path) -> None:
         (["fence", "edge1"], ["edge/edge1 fenced (dry run)"]),
         (["unfence", "edge1"], ["edge/edge1 unfenced (dry run)"]),
         (["reopen", "slam-robot3"], ["task/slam-robot3 reopened (dry run)"]),
-        (["unpin", "slam-robot3"], ["task/slam-robot3 was not pinned (dry run)"]),
+        (["unpin", "slam-robot3"], ["task/slam-robot3 was not pinned by edgectl move (dry run)"]),
     ],
 )
 def test_a_dry_run_of_a_mark_prints_it_and_leaves_none(
@@ -97,3 +97,9 @@ def test_a_dry_run_of_a_mark_prints_it_and_leaves_none(
         frozenset(), frozenset(), frozenset(), {}, {},
     )  # fmt: skip
     assert main([words[0], "edge9", "--dry-run"]) == 64, "names are checked"
+
+
+def test_unpin_of_a_task_that_its_file_pins_names_the_entry(run: Run, site: Path) -> None:
+    done = run("unpin", "slam-robot3")
+    assert "note: slam-robot3 is pinned to edge3 by hosts.pin of slam-robot3 in its task file" in done.err
+    assert "note" not in run("unpin", "detection-robot1").err

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every verb in situations where part of the answer is missing: the words and the exit code of the page."""
 
+import io
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -167,6 +168,27 @@ def test_a_what_if_is_no_event(words: tuple[str, ...], hosts: FakeFleet, run: Ru
     assert run("events").out.count("planned") == before
     assert run(*words).code == 0
     assert run("events").out.count("planned") == before + 1
+
+
+@pytest.mark.parametrize(
+    "words", ["stop t1", "start t1", "restart t1", "drain edge1", "fence edge1", "rollback 1"]
+)
+def test_without_a_terminal_the_dry_run_of_the_same_command_is_named(
+    words: str, hosts: FakeFleet, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    told = run(*words.split())
+    verb = words.split()[0]
+    assert (told.code, f"pass --yes, or check first: edgectl {verb} --dry-run" in told.err) == (64, True), (
+        told
+    )
+    assert run(*words.split(), "--dry-run").code == 0
+    assert hosts.placed == {"t0": "edge1", "t1": "edge2"}
+
+
+def test_the_result_of_a_start_names_the_fleet_as_that_of_a_stop(hosts: FakeFleet, run: Run) -> None:
+    for verb in ("stop", "start"):
+        assert re.search(r"Revision \d+ of fleet \S+\.", run(verb, "t1", "--yes").out)
 
 
 def test_every_situation_is_on_the_page() -> None:

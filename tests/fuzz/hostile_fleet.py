@@ -161,7 +161,7 @@ class HostileSite:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("edgectl.transport.fleet_transport.FleetTransport", lambda **_: self.transport)
             said = edgectl(words, self.directory, self.environment)
-        assert said.code != 64 or "has not run on any host" in said.err, said
+        assert said.code != 64 or "is on no host" in said.err, said
         for text in (said.out, said.err):
             assert "unexpected " not in text, (words, text[-500:])
             odd = [char for char in text if not (char.isprintable() or char in "\n")]

@@ -12,7 +12,7 @@ from edgectl.errors import EdgectlError, LockBusyError, UnansweredError, UsageEr
 from edgectl.model.manager_state import ManagerState, Pin
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy, PolicyName
-from edgectl.model.task import Task
+from edgectl.model.task import OnboardRule, Task
 from edgectl.state.lock import FleetLock
 from edgectl.state.manager_state import MANAGER_STATE_FILE_NAME, load_manager_state, save_manager_state
 from edgectl.usecases import operator_marks
@@ -100,9 +100,30 @@ def test_the_last_of_several_moves_counts(bench: Bench) -> None:
         (SLAM, "edge9", "unknown host 'edge9'", "did you mean edge"),
         (a_task("slam", cpu=5.0), "edge2", "demands more than the whole host", "edgectl describe task slam"),
         (a_task("slam", cpu=0.1, labels={"gpu": "yes"}), "edge2", "lacks the labels gpu=yes", "label it"),
-        (a_task("slam", cpu=0.1, never=["edge2"]), "edge2", "in hosts.never", "tasks.yaml"),
-        (a_task("slam", cpu=0.1, only=["edge1"]), "edge2", "hosts.only leaves it out", "tasks.yaml"),
-        (a_task("slam", cpu=0.1, pin="edge1"), "edge2", "pinned to edge1 by its task file", "hosts.pin"),
+        (
+            a_task("slam", cpu=0.1, never=["edge2"]),
+            "edge2",
+            "in hosts.never",
+            "hosts.never of slam in its task file",
+        ),
+        (
+            a_task("slam", cpu=0.1, only=["edge1"]),
+            "edge2",
+            "hosts.only leaves it out",
+            "hosts.only of slam in its task file",
+        ),
+        (
+            a_task("slam", cpu=0.1, pin="edge1"),
+            "edge2",
+            "pinned to edge1 by its task file",
+            "hosts.pin of slam in its",
+        ),
+        (
+            replace(a_task("slam", cpu=0.1), onboard=OnboardRule.ONLY),
+            "edge2",
+            "leaves edge2 out",
+            "onboard of slam in its task file",
+        ),
         (a_task("slam", cpu=0.1, managed=False), "edge2", "is not managed by edgectl", "managed: true"),
     ],
 )

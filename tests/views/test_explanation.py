@@ -2,6 +2,7 @@
 """explain as a person and as a program read it."""
 
 import json
+from dataclasses import replace
 
 from edgectl.executor.diff import diff_assignment, plan_from_assignment
 from edgectl.model.assignment import Assignment, Reason
@@ -67,6 +68,14 @@ def test_the_table_says_what_each_term_adds_and_what_would_flip_it() -> None:
     fragile = "fragile: it would change 0.188 below, and the measurements alone vary by 0.212.\n"
     assert ExplanationView(step, found).table() == TEXT + fragile
     assert max(map(len, ExplanationView(step, found).table(RenderOptions(width=60)).splitlines())) <= 60
+
+
+def test_a_difference_that_rounds_to_nothing_has_no_sign() -> None:
+    step, found = taken_apart()
+    tiny = [replace(each, there=each.here + 0.0001) for each in found.contributions]
+    text = ExplanationView(step, replace(found, contributions=tuple(tiny))).table()
+    assert "-0.000" not in text
+    assert text.count("+0.000") == 5
 
 
 def test_equal_hosts_have_no_threshold() -> None:

@@ -79,6 +79,32 @@ def test_status_says_first_what_is_not_alive_and_counts_it_as_a_failure() -> Non
     assert format_task_state(sick) == "unhealthy (node /slam is not registered)"
 
 
+def test_a_task_that_crashes_again_and_again_is_a_problem_and_does_not_count_as_running() -> None:
+    """Its supervisor restarts it, so the exit code waits until it gives up; a slow first start is none."""
+    inventory, tasks = an_inventory(an_edge("edge2"), an_edge("edge1")), some_tasks(a_task("slam"))
+    crashed = a_run(
+        TaskState.STARTING, pid=0, restarts=4, last_exit=3, detail="exited with 3; restarting in 6 s"
+    )
+    shown = {}
+    for name, run in (
+        ("crashed", crashed),
+        ("first", a_run(TaskState.STARTING)),
+        ("up again", replace(crashed, state=TaskState.READY)),
+    ):
+        seen = a_snapshot({"edge2": a_sample(), "edge1": a_sample(tasks={"slam": run})})
+        view = StatusView(seen, inventory, tasks)
+        first, second = show(view).splitlines()[:2]
+        assert of_status(seen, inventory, tasks) is ExitCode.DONE
+        shown[name] = (first.partition(", ")[2], second, view.items()[0]["attention"])
+    assert shown["crashed"] == (
+        "0/1 tasks run, 2/2 hosts answer, 1 problem:",
+        "1 of 1 tasks restarting after a crash: slam on edge1 (4 restarts, last exit 3)",
+        "restarts after a crash (4 restarts, last exit 3)",
+    )
+    well = ("1/1 tasks run, 2/2 hosts answer, no problem", "", None)
+    assert (shown["first"], shown["up again"]) == (well, well)
+
+
 def test_the_nodes_of_a_task_are_those_that_it_states() -> None:
     inventory = an_inventory(an_edge("edge1"))
     alive = AliveRule(check=Check(ros=RosCheck(node="/robot1/odom")))
