@@ -12,13 +12,16 @@ from pathlib import Path
 _DIRECTORY_PLACEHOLDER = b'prelude: cd "$EDGECTL_DEMO"'
 _FLEET_PLACEHOLDER = re.compile(rb"^fleet: (\w+)$", re.MULTILINE)
 _PROGRAMS = ("detection", "follower", "grid", "mapper", "merger", "radio", "robot", "wire", "world")
+_NODES = ("detection", "follower", "mapper", "merger", "robot", "topics")
 MISSION_FILES = (
     "experiment.yaml",
     "fleet.yaml",
+    "ros2.yaml",
     "tasks.yaml",
     "world.pgm",
     "world.yaml",
     *(f"{name}.py" for name in _PROGRAMS),
+    *(f"ros2_{name}.py" for name in _NODES),
 )
 SCAFFOLD_FILES = (
     "README.md",
@@ -37,6 +40,7 @@ _KINDS = {
     "tasks/demo.yaml": "tasks",
     "tasks/patrol/fleet.yaml": "inventory",
     "tasks/patrol/tasks.yaml": "tasks",
+    "tasks/patrol/ros2.yaml": "tasks",
     "tasks/patrol/experiment.yaml": "experiment",
 }
 SCHEMAS_DIR = ".edgectl/schemas"

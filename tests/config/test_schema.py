@@ -15,7 +15,7 @@ from tests.config.broken_files import INVENTORY, TASKS, BrokenFile
 ROOT = Path(__file__).parents[2]
 FILES = {
     "inventory": ["inventories/*.yaml", "tasks/patrol/fleet.yaml"],
-    "tasks": ["tasks/*.yaml", "tasks/patrol/tasks.yaml"],
+    "tasks": ["tasks/*.yaml", "tasks/patrol/tasks.yaml", "tasks/patrol/ros2.yaml"],
     "project": ["edgectl/scaffold/edgectl.yaml"],
     "experiment": ["tasks/patrol/experiment.yaml"],
     "scenario": ["docs/scenarios/[!s]*.yaml"],  # all but sweep-*.yaml

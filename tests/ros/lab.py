@@ -24,13 +24,15 @@ LIBRARIES = "/opt/ros2-libraries"
 
 
 @contextmanager
-def open_lab(folder: Path, version: int = 1) -> Iterator[FaultFleet]:
+def open_lab(
+    folder: Path, version: int = 1, names: "tuple[str, ...]" = (CORE, SECOND, ROBOT)
+) -> Iterator[FaultFleet]:
     """Open a fleet of three computers with the ROS 1 of this machine, where the master is to run on the first, or
     with the ROS 2 of the tests.
     """
     shared = {} if version == 1 else {LIBRARIES: ROOT / ".venv-ros2" / "lib"}
-    with open_fleet("namespace", folder, [CORE, SECOND, ROBOT], 1, shared=shared) as fleet:
-        master = MASTER.format(address=fleet.get_computer(CORE).address)
+    with open_fleet("namespace", folder, list(names), 1, shared=shared) as fleet:
+        master = MASTER.format(address=fleet.get_computer(names[0]).address)
         for name in fleet.hosts:
             host = fleet.get_computer(name)
             host.boot()

@@ -1,0 +1,1 @@
+../../../../tasks/patrol/ros2_topics.py
