@@ -25,7 +25,8 @@ from edgectl.model.snapshot import (
     TaskSample,
     TaskState,
 )
-from edgectl.rules.live_links import add_sample, apply_live_capacities, choose_links_to_probe, observe_link
+from edgectl.rules.link_turns import choose_links_to_probe, find_link_use
+from edgectl.rules.live_links import add_sample, apply_live_capacities, observe_link
 
 # Standard deviation of the logarithm of what a probe of an idle link reads.
 _PROBE_SPREAD = 0.05
@@ -56,11 +57,18 @@ def _read_live_links(state: SimState, snapshot: Snapshot) -> Snapshot:
         for robot, link in sample.links.items()
     }
     known = {
-        pair: observe_link(state.histories.get(pair, LinkHistory()), link, now) for pair, link in seen.items()
+        pair: observe_link(
+            state.histories.get(pair, LinkHistory()), link, now, get_nominal_bytes_per_s(state, *pair)
+        )
+        for pair, link in seen.items()
     }
     live = apply_live_capacities(snapshot, known, seen, now)
-    for edge, robot in choose_links_to_probe(state.inventory, live, known, seen, now):
-        known[edge, robot] = add_sample(known[edge, robot], _probe_link(state, edge, robot), None, now)
+    use = find_link_use(live, {name: each.task.robots for name, each in state.services.items()})
+    for edge, robot in choose_links_to_probe(state.inventory, live, known, seen, now, use):
+        nominal = get_nominal_bytes_per_s(state, edge, robot)
+        known[edge, robot] = add_sample(
+            known[edge, robot], _probe_link(state, edge, robot), None, now, nominal
+        )
     state.histories = known
     return apply_live_capacities(snapshot, known, seen, now)
 

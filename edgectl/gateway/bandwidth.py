@@ -10,7 +10,8 @@ from edgectl.gateway.replies import SampleReply, SendReply, SinkReply, decode_re
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.link_reading import LinkSampleResult
 from edgectl.model.snapshot import BandwidthMeasurement
-from edgectl.rules.live_links import MAX_SAMPLE_BYTES_PER_S, SAMPLE_S
+from edgectl.rules.link_turns import MAX_SAMPLE_BYTES_PER_S
+from edgectl.rules.live_links import SAMPLE_S
 from edgectl.transport.agent_client import call_agent
 from edgectl.transport.base import Transport
 

@@ -42,6 +42,8 @@ class LinkHistory:
     ``sampled_at``: when it was last probed, 0 for never. ``refused``: that probe found no way. ``rtt_ms``:
     the round-trip time at that probe. ``answered``: the robot has ever answered the edge. ``silent``: probes
     in a row without an answer since then, the first at ``silent_since``; ``cut_off``: so many that it counts.
+    ``sampled_before``: the probes before the last that still count against the budget of its hosts.
+    ``fell_at``: when it was last seen to carry much less than before, 0 for never.
     """
 
     readings: tuple[LinkReading, ...] = ()
@@ -52,6 +54,8 @@ class LinkHistory:
     silent: int = 0
     silent_since: Instant = 0.0
     cut_off: bool = False
+    sampled_before: tuple[Instant, ...] = ()
+    fell_at: Instant = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Live capacity of links (ADR 0077): readings, how they lower what is declared or assumed, and which idle
-links to probe next. Pure.
-"""
+"""Live capacity of links (ADR 0077): readings, and how they lower what is declared or assumed. Pure."""
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Mapping
 from dataclasses import replace
 
-from edgectl.model.inventory import Inventory
 from edgectl.model.link_reading import LinkHistory, LinkObservation, LinkReading, LinkSampleResult
 from edgectl.model.snapshot import CapacitySource, HostSample, LinkSample, Snapshot
 
@@ -24,32 +22,42 @@ _MIN_BYTES_PER_S = 1.0
 _REFUTED_SHARE = 0.9
 # A reading of this share of the upper bound is the bound, seen as exactly as links can be read.
 _BOUND_SHARE = 0.9
-# One probe of an idle link takes at most SAMPLE_S, and no host takes part in more than 1 % of the time.
+# A reading below this share of the one before is a fall: two of one rate, each within 15 %, differ less.
+_FALL_SHARE = 0.7
+# Traffic from this share of it on, and below the share that refutes it, confirms a fall.
+_FALL_TRAFFIC_SHARE = 0.5
+# One probe of an idle link takes at most SAMPLE_S, and no host takes part in more than 1 % of the time: in so
+# many probes in any time of so many seconds (ADR 0136).
 SAMPLE_S = 0.09
-_SAMPLE_EVERY_S = 100 * SAMPLE_S
-# A link that could not be probed, as behind a firewall, is tried again after this time.
-_REFUSED_EVERY_S = 600.0
-# Most bytes/s that a probe sends: a faster link is found to carry at least that.
-MAX_SAMPLE_BYTES_PER_S = 25e6
-_MAX_SAMPLES = 8
-# Traffic up to this share of the capacity, and up to these bytes/s on the robot's interfaces, is idle.
-_IDLE_SHARE, _IDLE_BYTES_PER_S = 0.05, 20e3
-# A link whose round trips became so much longer has probably changed: it is probed first.
-_RTT_FACTOR, _RTT_MARGIN_MS = 2.0, 5.0
+MAX_SAMPLES = 3
+BUDGET_S = 100 * SAMPLE_S * MAX_SAMPLES
 # A robot that has answered an edge once, and then left so many probes over so long a time unanswered, is cut
 # off (ADR 0097).
 _SILENT_PROBES, _SILENT_S = 3, 5.0
 LIVE_SOURCES = frozenset({CapacitySource.TCP, CapacitySource.PROBE, CapacitySource.RADIO})
 
 
-def observe_link(known: LinkHistory, seen: LinkObservation, now: float) -> LinkHistory:
+def observe_link(
+    known: LinkHistory, seen: LinkObservation, now: float, nominal: float = math.inf
+) -> LinkHistory:
     """The history with what a probe of the hosts saw: an answer of the robot or none, a connection that the
     link limits, or traffic that refutes the readings.
+
+    ``nominal``: bytes/s that it carries where nothing was read of it.
     """
     known = _note_answer(known, seen, now)
     if seen.carries_bytes_per_s:
-        return _add_reading(known, seen.carries_bytes_per_s, CapacitySource.TCP, now)
-    return _refute_readings(known, seen.used_bytes_per_s, now)
+        return _add_reading(known, seen.carries_bytes_per_s, CapacitySource.TCP, now, nominal)
+    return _refute_readings(_confirm_fall(known, seen.used_bytes_per_s), seen.used_bytes_per_s, now)
+
+
+def _confirm_fall(known: LinkHistory, rate: float) -> LinkHistory:
+    """Forget the reading before a fall, once traffic of that size stays below what was read then."""
+    if len(known.readings) < _MAX_READINGS or known.readings[-1].at != known.fell_at:
+        return known
+    last = known.readings[-1].bytes_per_s
+    stays = _FALL_TRAFFIC_SHARE * last <= rate < _REFUTED_SHARE * last
+    return replace(known, readings=known.readings[-1:]) if stays else known
 
 
 def _note_answer(known: LinkHistory, seen: LinkObservation, now: float) -> LinkHistory:
@@ -59,22 +67,56 @@ def _note_answer(known: LinkHistory, seen: LinkObservation, now: float) -> LinkH
         return known
     since = known.silent_since if known.silent else now
     cut_off = known.silent + 1 >= _SILENT_PROBES and now - since >= _SILENT_S
-    return replace(known, silent=known.silent + 1, silent_since=since, cut_off=known.cut_off or cut_off)
+    return replace(
+        known,
+        silent=known.silent + 1,
+        silent_since=since,
+        cut_off=known.cut_off or cut_off,
+        fell_at=now if cut_off and not known.cut_off else known.fell_at,
+    )
 
 
-def add_sample(known: LinkHistory, result: LinkSampleResult, rtt_ms: float | None, now: float) -> LinkHistory:
+def add_sample(
+    known: LinkHistory,
+    result: LinkSampleResult,
+    rtt_ms: float | None,
+    now: float,
+    nominal: float = math.inf,
+) -> LinkHistory:
     """The history with the result of a probe of the idle link."""
-    tried = replace(known, sampled_at=now, refused=result.refused, rtt_ms=rtt_ms)
+    tried = replace(
+        known,
+        sampled_at=now,
+        sampled_before=list_samples(known, now)[1 - MAX_SAMPLES :],
+        refused=result.refused,
+        rtt_ms=rtt_ms,
+    )
     if not result.bytes_per_s:
         return tried
     if result.full:
-        return _add_reading(tried, result.bytes_per_s, CapacitySource.PROBE, now)
+        return _add_reading(tried, result.bytes_per_s, CapacitySource.PROBE, now, nominal)
     return _refute_readings(tried, result.bytes_per_s, now)
 
 
-def _add_reading(known: LinkHistory, rate: float, source: CapacitySource, now: float) -> LinkHistory:
+def list_samples(known: LinkHistory, now: float) -> tuple[float, ...]:
+    """When the link was probed, as far as it counts against the budget of its hosts ``now``, oldest first."""
+    times = (*known.sampled_before, known.sampled_at)
+    return tuple(at for at in times if at and 0.0 <= now - at < BUDGET_S)
+
+
+def _add_reading(
+    known: LinkHistory, rate: float, source: CapacitySource, now: float, nominal: float
+) -> LinkHistory:
     reading = LinkReading(bytes_per_s=max(rate, _MIN_BYTES_PER_S), at=now, source=source)
-    return replace(known, readings=(*_select_recent(known, now), reading)[-_MAX_READINGS:])
+    recent = _select_recent(known, now)
+    # The mean would still fall when the second reading after a change comes in.
+    before = min(recent[-1].bytes_per_s, nominal) if recent else nominal
+    fell = reading.bytes_per_s < _FALL_SHARE * before
+    return replace(
+        known,
+        readings=(*recent, reading)[-_MAX_READINGS:],
+        fell_at=now if fell else known.fell_at,
+    )
 
 
 def _refute_readings(known: LinkHistory, rate: float, now: float) -> LinkHistory:
@@ -135,62 +177,3 @@ def compute_live_link(link: LinkSample, known: LinkHistory, radio: float | None,
     return replace(
         link, capacity_bytes_per_s=live, capacity_source=source, capacity_age_s=age, nominal=nominal
     )
-
-
-def choose_links_to_probe(
-    inventory: Inventory, snapshot: Snapshot, histories: Histories, observations: Observations, now: float
-) -> tuple[Pair, ...]:
-    """The idle links whose turn it is: those with longer round trips than before, then the one probed longest
-    ago; no two with a host in common.
-    """
-    busy = _list_resting_hosts(histories, now)
-    turns = sorted(
-        (not _has_slowed(histories.get(pair), seen), histories.get(pair, LinkHistory()).sampled_at, pair)
-        for pair, seen in observations.items()
-        if _can_probe(inventory, snapshot, pair, seen) and not _is_refused(histories.get(pair), now)
-    )
-    chosen: list[Pair] = []
-    for *_, pair in turns:
-        if busy.isdisjoint(pair) and len(chosen) < _MAX_SAMPLES:
-            chosen.append(pair)
-            busy |= set(pair)
-    return tuple(chosen)
-
-
-def _list_resting_hosts(histories: Histories, now: float) -> set[str]:
-    """Hosts that took part in a probe less than a hundred of its durations ago."""
-    return {
-        host
-        for pair, known in histories.items()
-        if 0.0 <= now - known.sampled_at < _SAMPLE_EVERY_S
-        for host in pair
-    }
-
-
-def _is_refused(known: LinkHistory | None, now: float) -> bool:
-    return known is not None and known.refused and 0.0 <= now - known.sampled_at < _REFUSED_EVERY_S
-
-
-def _has_slowed(known: LinkHistory | None, seen: LinkObservation) -> bool:
-    if known is None or known.rtt_ms is None or seen.rtt_ms is None:
-        return False
-    return seen.rtt_ms > _RTT_FACTOR * known.rtt_ms + _RTT_MARGIN_MS
-
-
-def _can_probe(inventory: Inventory, snapshot: Snapshot, pair: Pair, seen: LinkObservation) -> bool:
-    """Whether both ends can be asked, a network is between them, and it is idle."""
-    edge, robot = (snapshot.hosts.get(name) for name in pair)
-    if edge is None or robot is None or not (edge.ok and robot.ok and inventory.hosts[pair[1]].probe):
-        return False
-    link = edge.links.get(pair[1])
-    if link is None or not link.capacity_bytes_per_s or seen.interface in ("", "lo"):
-        return False
-    idle = _IDLE_SHARE * link.capacity_bytes_per_s
-    return seen.used_bytes_per_s <= idle and sum(_list_traffic(robot)) <= max(idle, _IDLE_BYTES_PER_S)
-
-
-def _list_traffic(robot: HostSample) -> Iterator[float]:
-    """Bytes/s on the interfaces of a robot, with UDP and with its other links."""
-    for name, interface in robot.device.interfaces.items():
-        if name != "lo":
-            yield interface.rx_bytes_per_s + interface.tx_bytes_per_s

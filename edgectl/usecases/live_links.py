@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Live capacity of the links of a fleet: read at every probe, and by probes of idle links on request."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -9,12 +10,8 @@ from edgectl.gateway.bandwidth import probe_idle_links
 from edgectl.model.event import Event, EventKind
 from edgectl.model.link_reading import LinkHistory, LinkObservation
 from edgectl.model.snapshot import Snapshot
-from edgectl.rules.live_links import (
-    add_sample,
-    apply_live_capacities,
-    choose_links_to_probe,
-    observe_link,
-)
+from edgectl.rules.link_turns import choose_links_to_probe, find_link_use, split_into_rounds
+from edgectl.rules.live_links import add_sample, apply_live_capacities, observe_link
 from edgectl.state.link_readings import load_link_histories, save_link_histories
 from edgectl.usecases.fleet import Fleet
 
@@ -42,16 +39,21 @@ def measure_live_links(
             # A robot that is never contacted never counts as cut off.
             replace(link, answered=True) if pair[1] in blind else link,
             snapshot.taken_at,
+            _find_nominal(snapshot, pair),
         )
         for pair, link in observations.items()
     }
     _record_cut_links(fleet, snapshot, stored, known)
     seen = apply_live_capacities(snapshot, known, observations, snapshot.taken_at)
     if probe_idle and fleet.inventory.probe_links:
-        chosen = choose_links_to_probe(fleet.inventory, seen, known, observations, snapshot.taken_at)
-        rates = {(edge, robot): seen.hosts[edge].links[robot].nominal_bytes_per_s for edge, robot in chosen}
-        for pair, result in probe_idle_links(fleet.inventory, fleet.transport, rates).items():
-            known[pair] = add_sample(known[pair], result, observations[pair].rtt_ms, snapshot.taken_at)
+        use = find_link_use(seen, {name: task.robots for name, task in fleet.tasks.tasks.items()})
+        chosen = choose_links_to_probe(fleet.inventory, seen, known, observations, snapshot.taken_at, use)
+        for pairs in split_into_rounds(chosen):
+            rates = {pair: _find_nominal(snapshot, pair) for pair in pairs}
+            for pair, result in probe_idle_links(fleet.inventory, fleet.transport, rates).items():
+                known[pair] = add_sample(
+                    known[pair], result, observations[pair].rtt_ms, snapshot.taken_at, rates[pair]
+                )
         seen = apply_live_capacities(snapshot, known, observations, snapshot.taken_at)
     # Links of hosts that did not answer now are kept.
     others = {
@@ -61,6 +63,12 @@ def measure_live_links(
     }
     _save(fleet, stored, {pair: each for pair, each in {**others, **known}.items() if each != _NOTHING})
     return seen
+
+
+def _find_nominal(snapshot: Snapshot, pair: tuple[str, str]) -> float:
+    """Bytes/s that the link carries where no live reading says less."""
+    link = snapshot.hosts[pair[0]].links.get(pair[1])
+    return math.inf if link is None else link.nominal_bytes_per_s
 
 
 def _record_cut_links(

@@ -39,13 +39,13 @@ DIGESTS = {
     "changing-links": {
         "local": "f0050c6a93fe",
         "static": "d33c81aef73e",
-        "utility all": "fe27e529da6b",
-        "paper all": "0d4c00ff2c53",
+        "utility all": "178074cfc28b",
+        "paper all": "2dd62820e55b",
     },
     "patrol": {
         "local": "39490dd77b2c",
-        "static": "4b3d4d7e3e4b",
-        "utility all": "d10059e69655",
+        "static": "455426a18934",
+        "utility all": "817bd8f3d5cb",
         "paper all": "02bb7961fcf5",
     },
 }

@@ -7,11 +7,11 @@ import pytest
 
 from edgectl.model.link_reading import LinkHistory, LinkObservation, LinkSampleResult
 from edgectl.model.snapshot import CapacitySource, InterfaceSample, LinkSample
+from edgectl.rules.link_turns import choose_links_to_probe
 from edgectl.rules.live_links import (
     MAX_READING_AGE_S,
     add_sample,
     apply_live_capacities,
-    choose_links_to_probe,
     compute_live_link,
     observe_link,
 )
@@ -133,7 +133,12 @@ def test_links_take_turns_and_no_two_share_a_host() -> None:
 
 
 def test_no_host_takes_part_more_often_than_every_nine_seconds() -> None:
-    known = {("edge1", "robot1"): probed(1000.0)}
+    known = {
+        ("edge1", "robot1"): probed(1000.0),
+        ("edge1", "robot2"): probed(990.0),
+        ("edge2", "robot1"): probed(980.0),
+        ("edge2", "robot2"): probed(970.0),
+    }
     assert choose_links_to_probe(FLEET, SNAPSHOT, known, SEEN, 1008.9) == (("edge2", "robot2"),)
     assert len(choose_links_to_probe(FLEET, SNAPSHOT, known, SEEN, 1009.1)) == 2
 
