@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """logs command."""
 
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Exit, Option
@@ -11,9 +13,12 @@ from edgectl.cli.completion import complete_tasks
 from edgectl.cli.task_names import select_task_names
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import EdgectlError, ExitCode, UsageError
+from edgectl.units import QuantityError, parse_instant
 
 if TYPE_CHECKING:
     from edgectl.usecases.fleet import Fleet
+
+_DEFAULT_TAIL = 100
 
 
 def logs_command(
@@ -33,19 +38,35 @@ def logs_command(
     selector: options.SelectorOption = None,
     follow: Annotated[bool, Option("--follow", "-f", help="Keep printing until Ctrl-C.")] = False,
     tail: Annotated[
-        int, Option("--tail", "-n", metavar="N", min=0, help="Number of last lines to print.")
-    ] = 100,
+        int | None,
+        Option(
+            "--tail",
+            "-n",
+            metavar="N",
+            min=0,
+            help="Number of last lines to print; default: 100, with --since all.",
+            show_default=False,
+        ),
+    ] = None,
+    since: Annotated[
+        str | None,
+        Option("--since", metavar="TIME", help="Only lines newer than this: 10m, or 2026-11-21T08:00:00Z."),
+    ] = None,
+    previous: Annotated[
+        bool, Option("--previous", "-p", help="The run before the present one, on the same host.")
+    ] = False,
     prefix: Annotated[bool, Option("--prefix", help="Begin each line with its task, as of several.")] = False,
     raw: Annotated[bool, Option("--raw", help="Leave control sequences of the task in.")] = False,
 ) -> None:
     """Print the logs of tasks from the hosts where they run or ran last, without control sequences.
 
     Of several tasks each line begins with [task/NAME]; a task without a log is said, and the exit code is 4.
+    A run ends when its command does: a crash, a restart or a stop.
 
     Examples:
         edgectl logs slam-robot1
-        edgectl logs slam-robot1 --tail 20
-        edgectl logs slam-robot1 -f
+        edgectl logs slam-robot1 -f --since 10m
+        edgectl logs slam-robot1 --previous --tail 20
         edgectl logs -l robot=robot1 --tail 1
     """
     from edgectl.cli.connect import build_fleet
@@ -56,20 +77,36 @@ def logs_command(
         raise UsageError(
             f"-f follows one task, and this is {len(chosen)}", hint=f"edgectl logs -f {chosen[0]}"
         )
+    if follow and previous:
+        raise UsageError("--previous is of a run that has ended: it cannot be followed")
+    since_s = _parse_since(since) if since is not None else None
+    if tail is None and since is None:
+        tail = _DEFAULT_TAIL
+    read = partial(_read_one, fleet, tail=tail, since_s=since_s, raw=raw)
     if len(chosen) == 1:
-        for text in _read_one(fleet, chosen[0], tail=tail, follow=follow, raw=raw, prefix=prefix):
+        for text in read(chosen[0], follow=follow, previous=previous, prefix=prefix):
             if not console.print_part(text):
                 return
         return
-    raise Exit(_print_several(fleet, chosen, tail=tail, raw=raw))
+    raise Exit(_print_several(chosen, partial(read, follow=False, previous=previous, prefix=True)))
 
 
-def _print_several(fleet: "Fleet", names: Sequence[str], *, tail: int, raw: bool) -> ExitCode:
+def _parse_since(text: str) -> float:
+    """The age (s) of a duration, or of an instant on the clock of this machine."""
+    from edgectl.cli.connect import parse_duration_option
+
+    try:
+        return max(0.0, time.time() - parse_instant(text))
+    except QuantityError:
+        return parse_duration_option(text, "--since")
+
+
+def _print_several(names: Sequence[str], read: Callable[[str], Iterator[str]]) -> ExitCode:
     """The logs one after the other; what a task lacks costs that task alone."""
     code = ExitCode.DONE
     for name in names:
         try:
-            text = "".join(_read_one(fleet, name, tail=tail, follow=False, raw=raw, prefix=True))
+            text = "".join(read(name))
         except EdgectlError as error:
             console.print_message(f"task/{name}: {error.message}")
             code = ExitCode.PARTLY
@@ -80,16 +117,30 @@ def _print_several(fleet: "Fleet", names: Sequence[str], *, tail: int, raw: bool
 
 
 def _read_one(
-    fleet: "Fleet", name: str, *, tail: int, follow: bool, raw: bool, prefix: bool
+    fleet: "Fleet",
+    name: str,
+    *,
+    tail: int | None,
+    since_s: float | None,
+    previous: bool,
+    follow: bool,
+    raw: bool,
+    prefix: bool,
 ) -> Iterator[str]:
     from edgectl.usecases import logs
     from edgectl.views.text import decode_log, prefix_lines
 
     if follow:
-        parts = decode_log(logs.follow_log(fleet, name, tail=tail), raw=raw)
+        parts = decode_log(logs.follow_log(fleet, name, tail=tail, since_s=since_s), raw=raw)
     else:
-        text = logs.read_log(fleet, name, tail=tail)
+        text = logs.read_log(fleet, name, tail=tail, since_s=since_s, previous=previous)
         if not text:
-            console.print_message(f"the log of {name} is empty" if prefix else "the log is empty")
+            console.print_message(_describe_empty_log(name if prefix else "", since_s, previous=previous))
         parts = decode_log([text.encode()], raw=raw)
     return prefix_lines(parts, f"[task/{name}] ") if prefix else parts
+
+
+def _describe_empty_log(name: str, since_s: float | None, *, previous: bool) -> str:
+    what = "the previous run" if previous else "the log"
+    of = f" of {name}" if name else ""
+    return f"{what}{of} is empty" if since_s is None else f"{what}{of} has no lines of that time"

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.result import Results
-from edgectl.tui.app import FleetBackend, NoteChanged, TopApp
+from edgectl.tui.app import TopApp
+from edgectl.tui.backend import FleetBackend, NoteChanged
 from edgectl.tui.rows import Frame
 from edgectl.usecases import operator_marks, status
 from edgectl.usecases.drain import drain_hosts

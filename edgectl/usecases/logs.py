@@ -9,6 +9,7 @@ from edgectl.agent.link import protocol
 from edgectl.errors import UnansweredError, UsageError, describe_unseen_task
 from edgectl.gateway.task_lookup import find_task_host
 from edgectl.model.inventory import Host
+from edgectl.model.text import clean_text
 from edgectl.names import check_known_names
 from edgectl.rules.lost_places import LostPlace, describe_lost_place
 from edgectl.state.manager_state import load_manager_state
@@ -20,27 +21,39 @@ from edgectl.usecases.heartbeat import track_heartbeats
 _TIMEOUT_S = 15.0
 # The host sends a heartbeat every few seconds, also while the task prints nothing.
 _IDLE_TIMEOUT_S = 20.0
+_MAX_NOTE = 300
 
 
-def read_log(fleet: Fleet, task: str, *, tail: int = 100) -> str:
-    """The last ``tail`` lines.
+def read_log(
+    fleet: Fleet,
+    task: str,
+    *,
+    tail: int | None = 100,
+    since_s: float | None = None,
+    previous: bool = False,
+) -> str:
+    """The last ``tail`` lines (None: all that one reply takes), of those that were written in the last
+    ``since_s`` seconds, or of the run before the present one. What is not known of their times is a warning.
 
     Raises:
         UsageError: no host knows the task.
         UnansweredError: no host that answers knows the task, or it was last known on one that does not.
-        HostError: its host did not return them.
+        HostError: its host did not return them, or does not know their times or no earlier run.
     """
     with track_heartbeats(fleet) as near, _connect_to_task_host(near, task) as (host, session):
-        answer = call_agent(
-            session,
-            {"op": protocol.OP_LOGS, "fleet": host.fleet, "host": host.name, "task": task, "tail": tail},
-            timeout=_TIMEOUT_S,
-        )
+        request = _build_log_request(protocol.OP_LOGS, host, task, tail, since_s)
+        if previous:
+            request["previous"] = True
+        answer = call_agent(session, request, timeout=_TIMEOUT_S)
+    if answer.get("note"):
+        fleet.warn(f"log of {task}: {clean_text(answer['note'], _MAX_NOTE)}")
     return str(answer.get("text") or "").encode("utf-8", "replace").decode()
 
 
-def follow_log(fleet: Fleet, task: str, *, tail: int = 10) -> Generator[bytes, None, None]:
-    """The last ``tail`` lines, then new output as it is printed, until the iterator is closed.
+def follow_log(
+    fleet: Fleet, task: str, *, tail: int | None = 10, since_s: float | None = None
+) -> Generator[bytes, None, None]:
+    """What `read_log` reads, then new output as it is printed, until the iterator is closed.
 
     Raises:
         UsageError: no host knows the task.
@@ -50,9 +63,17 @@ def follow_log(fleet: Fleet, task: str, *, tail: int = 10) -> Generator[bytes, N
     with track_heartbeats(fleet) as near, _connect_to_task_host(near, task) as (host, session):
         yield from stream_agent_log(
             session,
-            {"op": protocol.OP_FOLLOW, "fleet": host.fleet, "host": host.name, "task": task, "tail": tail},
+            _build_log_request(protocol.OP_FOLLOW, host, task, tail, since_s),
             idle_timeout=_IDLE_TIMEOUT_S,
         )
+
+
+def _build_log_request(
+    op: str, host: Host, task: str, tail: int | None, since_s: float | None
+) -> dict[str, object]:
+    request: dict[str, object] = {"op": op, "fleet": host.fleet, "host": host.name}
+    request |= {"task": task, "tail": tail}
+    return request if since_s is None else {**request, "since_s": since_s}
 
 
 @contextlib.contextmanager

@@ -37,7 +37,7 @@ REQUESTS: dict[str, tuple[dict[str, Any], set[str], int]] = {
             "spec": a_spec("exec sleep 600", runtime="process"),
         },
         {"select"},
-        37,
+        38,
     ),
 }
 

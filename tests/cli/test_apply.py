@@ -63,11 +63,13 @@ def test_apply_status_logs_restart_stop(run: Run, small: Path) -> None:
     assert (before["task"], before["host"], before["state"]) == ("idle", "edge1", "running")
     assert before["cpu"]["demand_cores"] == 0.1
     assert run("logs", "idle").out == "started\n"
+    assert run("logs", "idle", "--since", "1h").out == "started\n"
     (again,) = json.loads(run("status", "-o", "json").out)["items"]
     assert (again["instance"], again["started_at"]) == (before["instance"], before["started_at"])
     restarted = json.loads(run("restart", "idle", "--yes", "-o", "json").out)["item"]
     assert restarted["actions"][0]["action"] == "restart"
     assert json.loads(run("status", "-o", "json").out)["items"][0]["pid"] != before["pid"]
+    assert run("logs", "idle", "--previous").out == "started\n"
 
     assert run("stop", "idle", "--yes", "-o", "name").out == "task/idle\n"
     assert run("status", "-o", "name").out == ""

@@ -15,7 +15,8 @@ from edgectl.model.manager_state import ManagerState
 from edgectl.model.point import HostPoint, TaskPoint
 from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostSample, HostStatus, TaskState
-from edgectl.tui.app import FleetBackend, TopApp
+from edgectl.tui.app import TopApp
+from edgectl.tui.backend import FleetBackend
 from edgectl.tui.rows import Frame
 from edgectl.views.top_hosts import group_points_by_host
 from edgectl.views.top_tasks import group_points_by_task

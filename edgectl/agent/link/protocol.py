@@ -69,7 +69,7 @@ REQUEST_KEYS = {
     OP_DOCTOR: ("links", "prelude", "ros", "packages", "env", "timeout_s"),
     OP_DROP_STATE: ("task", "generation"),
     OP_FETCH: ("task", "workdir", "file", "most", "offset"),
-    OP_FOLLOW: ("task", "tail"),
+    OP_FOLLOW: ("task", "tail", "since_s"),
     OP_FORGET: ("task", "master", "nodes"),
     OP_GRAPH: ("version", "ros", "env", "timeout_s"),
     OP_HEAR: (
@@ -100,7 +100,7 @@ REQUEST_KEYS = {
         "sha256",
         "repeat",
     ),
-    OP_LOGS: ("task", "tail"),
+    OP_LOGS: ("task", "tail", "since_s", "previous"),
     OP_MARK: ("task", "instance", "ready", "leaving_s"),
     OP_PROBE: ("window_s", "links", "peers", "detect", "checks", "latency", "former", "manager"),
     OP_PROFILER_START: ("every_s", "ttl_s", "links", "peers", "detect"),

@@ -3,7 +3,12 @@
 
 import os
 
+from ..measure import proc
 from . import records
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Callable
 
 MAX_LINE_BYTES = 16384
 _CLIPPED = b" [clipped]"
@@ -17,19 +22,45 @@ class LogWriter:
     Disk errors are counted in ``dropped`` and never disturb the task.
     """
 
-    def __init__(self, folder: str, max_bytes: int, files: int) -> None:
+    def __init__(
+        self,
+        folder: str,
+        max_bytes: int,
+        files: int,
+        read_uptime_s: "Callable[[], float]" = proc.read_uptime_s,
+    ) -> None:
+        # Imported on demand: requests that read a log load this module, too.
+        from .log_times import LogTimes
+
         self.folder, self.max_bytes, self.files = folder, max(4096, max_bytes), max(1, files)
         self.dropped = 0
         self._column = 0
-        self._fd, self._size = -1, 0
+        self._fd, self._size, self._inode = -1, 0, 0
+        self._times = LogTimes(folder, read_uptime_s)
         self._open(os.O_APPEND)
+
+    def begin_run(self) -> None:
+        """Record that the command starts: what follows is the output of another run."""
+        self._note_time(new_run=True)
+
+    def _note_time(self, *, new_run: bool = False) -> None:
+        if self._fd >= 0:
+            self._times.note(self._inode, self._size, self._list_inodes, new_run=new_run)
+
+    def _list_inodes(self) -> "list[int]":
+        found = []
+        for number in range(self.files):
+            try:
+                found.append(os.stat(get_log_path(self.folder, number)).st_ino)
+            except OSError:
+                break
+        return found
 
     def _open(self, how: int) -> None:
         try:
-            self._fd = records.open_private_file(
-                _get_log_path(self.folder, 0), os.O_WRONLY | os.O_CREAT | how
-            )
-            self._size = os.fstat(self._fd).st_size
+            self._fd = records.open_private_file(get_log_path(self.folder, 0), os.O_WRONLY | os.O_CREAT | how)
+            info = os.fstat(self._fd)
+            self._size, self._inode = info.st_size, info.st_ino
         except OSError:
             self._fd, self._size = -1, 0
 
@@ -39,6 +70,7 @@ class LogWriter:
         while data:
             if self._size >= self.max_bytes:
                 self._rotate()
+            self._note_time()
             part, data = data[: self.max_bytes - self._size], data[self.max_bytes - self._size :]
             try:
                 written = os.write(self._fd, part)
@@ -54,8 +86,8 @@ class LogWriter:
             os.close(self._fd)
         try:
             for number in range(self.files - 1, 0, -1):
-                if os.path.exists(_get_log_path(self.folder, number - 1)):
-                    os.rename(_get_log_path(self.folder, number - 1), _get_log_path(self.folder, number))
+                if os.path.exists(get_log_path(self.folder, number - 1)):
+                    os.rename(get_log_path(self.folder, number - 1), get_log_path(self.folder, number))
         except OSError:
             pass
         self._open(os.O_TRUNC)
@@ -99,7 +131,7 @@ class LogReader:
         if self.fd >= 0:
             os.close(self.fd)
         try:
-            self.fd = records.open_private_file(_get_log_path(self.folder, 0), os.O_RDONLY)
+            self.fd = records.open_private_file(get_log_path(self.folder, 0), os.O_RDONLY)
             if at_end:
                 os.lseek(self.fd, 0, os.SEEK_END)
         except OSError:
@@ -115,12 +147,13 @@ class LogReader:
 
     def _is_rotated(self) -> bool:
         try:
-            return self.fd < 0 or os.stat(_get_log_path(self.folder, 0)).st_ino != os.fstat(self.fd).st_ino
+            return self.fd < 0 or os.stat(get_log_path(self.folder, 0)).st_ino != os.fstat(self.fd).st_ino
         except OSError:
             return False
 
 
-def _get_log_path(folder: str, number: int) -> str:
+def get_log_path(folder: str, number: int) -> str:
+    """Get the path of a file of the log; 0 is the newest."""
     return os.path.join(folder, "log.%d" % number)
 
 
@@ -129,7 +162,7 @@ def read_log_tail(folder: str, lines: int, most: int = MAX_TEXT_BYTES) -> bytes:
     text, number = b"", 0
     while number < 1000 and text.count(b"\n") <= lines and len(text) < most:
         try:
-            fd = records.open_private_file(_get_log_path(folder, number), os.O_RDONLY)
+            fd = records.open_private_file(get_log_path(folder, number), os.O_RDONLY)
         except OSError:
             break
         size = os.fstat(fd).st_size

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 _KEEPALIVE_S = 3.0
 _POLL_S = 0.2
+_DEFAULT_LINES = 100
 
 
 def _find_log_folder(request: Document) -> str:
@@ -22,11 +23,20 @@ def _find_log_folder(request: Document) -> str:
     return record.folder if record is not None else ""
 
 
+def _read_asked_text(folder: str, request: Document) -> "tuple[bytes, str]":
+    """Read what the request asks for, and a note on what is not known of it."""
+    since_s, previous, tail = request.get("since_s"), bool(request.get("previous")), request.get("tail")
+    if folder and (since_s is not None or previous):
+        from .log_select import read_selected
+
+        return read_selected(folder, since_s, previous=previous, lines=tail)
+    return logfile.read_log_tail(folder, _DEFAULT_LINES if tail is None else int(tail)), ""
+
+
 def read_logs(request: Document) -> Document:
-    """Operation ``logs``: the end of the log as text."""
-    text = logfile.read_log_tail(_find_log_folder(request), int(request.get("tail", 100))).decode(
-        "utf-8", "replace"
-    )
+    """Operation ``logs``: the end of the log, or of a part of it, as text."""
+    data, note = _read_asked_text(_find_log_folder(request), request)
+    text = data.decode("utf-8", "replace")
     # An escaped character takes up to six bytes; the reply must stay below protocol.MAX_REPLY_BYTES.
     while (
         len(text) > logfile.MAX_TEXT_BYTES // 4
@@ -39,6 +49,7 @@ def read_logs(request: Document) -> Document:
         "host": request["host"],
         "task": request["task"],
         "text": text,
+        "note": note,
     }
 
 
@@ -48,8 +59,8 @@ def follow_log(request: Document, channel: "Channel") -> None:
     """
     state_dir.check_name(request["task"])
     folder = _find_log_folder(request)
+    start, _ = _read_asked_text(folder, request)
     channel.reply(b'{"stream": true}')
-    start = logfile.read_log_tail(folder, int(request.get("tail", 10)))
     reader = logfile.LogReader(folder)
     if start:
         channel.write(b"%d\n%s" % (len(start), start))

@@ -162,6 +162,7 @@ class Supervisor:
         setup = (self.spec.get("ros") or {}).get("setup") or ()
         argv = shell.build_argv(self.spec["command"], self.spec.get("prelude") or "", setup)
         self.pid, self.pipe = spawn.spawn_command(argv, self.env, self.spec.get("workdir"), self.lock)
+        self.log.begin_run()
         process = proc.read_process(self.pid)
         self.ticks, self.started = process.ticks if process is not None else -1, time.monotonic()
         self.nodes.begin()
