@@ -103,7 +103,7 @@ LONGEST = (
     "experiments/test_real_hosts.py",
     "experiments/test_runner.py",
     "experiments/lab/test_hosts.py",
-    "experiments/lab/test_mission.py",
+    "experiments/lab/test_patrol.py",
     "experiments/lab/test_model.py",
     "e2e/test_local.py",
     "e2e/test_handoff.py",

@@ -258,6 +258,7 @@ def _complete_contexts(incomplete: str) -> list[str]:
 
 
 def _root_callback(
+    context_of_call: typer.Context,
     *,
     _version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
@@ -286,7 +287,7 @@ def _root_callback(
     if verbose:
         from edgectl.cli.verbosity import show_trace
 
-        show_trace(verbose, log_format)
+        context_of_call.with_resource(show_trace(verbose, log_format))
     if color != "auto":
         # Children, such as a pager or ssh, are told the same way.
         for name in ("NO_COLOR", "FORCE_COLOR"):

@@ -4,17 +4,22 @@
 import json
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 
 from edgectl.cli import console
-from edgectl.transport.base import TraceEvent, add_trace_listener
+from edgectl.transport.base import TraceEvent, listen_to_calls
 from edgectl.units import format_instant
 
 
-def show_trace(level: int, form: str) -> None:
-    """Print every login and request; from ``level`` 2 on also what the SSH client says of itself."""
-    add_trace_listener(_print_json if form == "json" else _print_text)
-    if level > 1:
-        _show_ssh_log(form)
+@contextmanager
+def show_trace(level: int, form: str) -> Iterator[None]:
+    """Print every login and request within; from ``level`` 2 on also what the SSH client says of itself."""
+    with ExitStack() as stack:
+        stack.enter_context(listen_to_calls(_print_json if form == "json" else _print_text))
+        if level > 1:
+            stack.callback(_show_ssh_log(form))
+        yield
 
 
 def _print_text(event: TraceEvent) -> None:
@@ -35,7 +40,8 @@ def _print_json(event: TraceEvent) -> None:
     _print_line({key: value for key, value in fields.items() if value is not None})
 
 
-def _show_ssh_log(form: str) -> None:
+def _show_ssh_log(form: str) -> Callable[[], None]:
+    """Print the log of the SSH client until the returned function is called."""
     import logging
 
     class SshLog(logging.Handler):
@@ -47,9 +53,16 @@ def _show_ssh_log(form: str) -> None:
             else:
                 console.print_message(f"ssh: {record.getMessage()}")
 
-    logger = logging.getLogger("paramiko")
+    logger, handler = logging.getLogger("paramiko"), SshLog()
+    level = logger.level
     logger.setLevel(logging.INFO)
-    logger.addHandler(SshLog())
+    logger.addHandler(handler)
+
+    def end() -> None:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+
+    return end
 
 
 def _print_line(fields: dict[str, object]) -> None:

@@ -132,9 +132,14 @@ class TraceEvent:
 _listeners: list[Callable[[TraceEvent], None]] = []
 
 
-def add_trace_listener(listener: Callable[[TraceEvent], None]) -> None:
-    """Call ``listener`` after each login and request from now on, from any thread."""
+@contextmanager
+def listen_to_calls(listener: Callable[[TraceEvent], None]) -> Iterator[None]:
+    """Call ``listener`` after each login and request within, from any thread."""
     _listeners.append(listener)
+    try:
+        yield
+    finally:
+        _listeners.remove(listener)
 
 
 @contextmanager

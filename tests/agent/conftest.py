@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A real host on this machine: the agent in a local session, with a state directory of its own; every task is ended after the test."""
 
+import contextlib
 import fcntl
 import os
 import shutil
@@ -89,7 +90,8 @@ class AgentHost:
             record = liveness.read_instance(str(folder))
             for pid in (liveness.find_supervisor(record), *self.members(folder.name)):
                 if pid:
-                    os.kill(pid, signal.SIGKILL)
+                    with contextlib.suppress(ProcessLookupError):  # it ended just now
+                        os.kill(pid, signal.SIGKILL)
 
 
 def a_spec(command: str, **fields: Any) -> dict[str, object]:

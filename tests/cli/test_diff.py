@@ -76,7 +76,7 @@ def test_each_task_that_differs_with_what_runs_and_what_would_run() -> None:
     for lines in (
         "@@ slam: move: pinned to edge2 by edgectl move @@\n-slam on edge3\n+slam on edge2\n",
         "@@ nav: restart: its spec changed @@\n-nav on edge2\n+nav on edge2\n",
-        "@@ fresh: start: pinned @@\n+fresh on edge3\n",
+        "@@ fresh: start: pinned to edge3 @@\n+fresh on edge3\n",
         "-gone on edge1\n",
         "+twin on edge1\n+twin standby on edge2\n",
     ):

@@ -93,7 +93,7 @@ def test_man(tmp_path: Path) -> None:
     text = " ".join(re.sub(r".\x08", "", done.stdout).split())
     assert done.returncode == 0, done.stderr
     assert "edgectl-plan - Rank hosts for each task and show the changes" in text
-    assert "edgectl plan --without edge2 --detailed-exitcode" in text
+    assert "edgectl plan --out next.plan" in text
     assert "--snapshot FILE" in text
 
 
