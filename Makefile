@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: docs image engines sensitivity latency handoffs ros ros-whole throughput quality demo experiment evaluation test test-fast check style setup audit bench faults fuzz soak clean
+.PHONY: docs image browser engines sensitivity latency handoffs ros ros-whole throughput quality demo experiment evaluation test test-fast check style setup audit bench faults fuzz soak clean
 PY := .venv/bin/python
 export PYTHON
 
@@ -30,10 +30,10 @@ test: style
 	@.ci/need-promtool
 	@.ci/need-etcd
 	@.ci/need-shells
-	@PATH="$$PATH:/usr/sbin:/sbin" .ci/with-types $(PY) -m tests.suite tests --ignore=tests/benchmarks --ignore=tests/ros --ignore=tests/engines -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+	@PATH="$$PATH:/usr/sbin:/sbin" .ci/with-types $(PY) -m tests.suite tests --ignore=tests/benchmarks --ignore=tests/ros --ignore=tests/engines --ignore=tests/browser -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 # Tests without real hosts: rules, files, documents, views, and simulated fleets.
-PURE := config doctor experiments executor export formats fuzz gateway importers model rules scheduler simulation state tui usecases views test_rooms.py
+PURE := config doctor experiments executor export formats fuzz gateway importers model rules scheduler simulation state tui usecases views web test_rooms.py
 test-fast: setup
 	@.ci/need-promtool
 	@.ci/need-etcd
@@ -87,6 +87,11 @@ engines: setup
 # The table and the figure of docs/evaluation/sensitivity.md, from its committed results; worlds that are missing are simulated.
 sensitivity: setup
 	@$(PY) -m tests.experiments.sensitivity
+
+# The page of edgectl serve in a real Chromium, which is installed where it is missing: docs/concepts/serve.md. Screenshots in runs/browser.
+browser: setup
+	@.ci/need-browser
+	@$(PY) -m tests.suite tests/browser -n 0
 
 # The whole fault matrix on real hosts; make faults SEED=7 draws other moments and bytes.
 # Then a death of the manager at each failpoint, and a hundred random lives, over simulated hosts.

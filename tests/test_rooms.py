@@ -49,6 +49,7 @@ ALLOWED = {
     },
     "views": PURE | {"formats", "rules"},
     "tui": PURE | {"usecases", "views", "gateway"},
+    "web": PURE | {"export", "formats", "usecases", "views", "gateway"},
     "cli": PURE
     | {
         "rules",
@@ -64,6 +65,7 @@ ALLOWED = {
         "scaffold",
         "export",
         "tui",
+        "web",
     },
     "api": PURE | {"cli", "config", "gateway", "solver", "state", "transport", "usecases"},
     "plugins": PURE,

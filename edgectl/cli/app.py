@@ -41,6 +41,7 @@ COMMANDS = {
     "top tasks": CommandEntry(
         "cli.top", "Inspect", "Show resource usage of tasks against their demand, now and lately."
     ),
+    "serve": CommandEntry("cli.serve", "Inspect", "Serve a read-only page of the fleet to browsers."),
     "wait": CommandEntry("cli.wait", "Inspect", "Wait until tasks are ready, completed or gone."),
     "logs": CommandEntry("cli.logs", "Inspect", "Print the logs of tasks."),
     "events": CommandEntry("cli.events", "Inspect", "List recent events."),

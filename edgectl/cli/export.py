@@ -73,7 +73,9 @@ def export_prometheus_command(
         with keep_sessions_open(fleet) as near:
             past = RevisionCache(near)
             look = SharedCache(lambda: collect_fleet_metrics(near, how, past), every=period)
-            serve_http(lambda address: prometheus.bind_metrics_server(address, look, fleet.warn), listen)
+            serve_http(
+                lambda address: prometheus.bind_metrics_server(address, look, fleet.warn), listen, "/metrics"
+            )
         return
     seen = collect_fleet_metrics(fleet, how)
     if textfile is None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""HTTP server of export prometheus."""
+"""HTTP servers of export prometheus and serve."""
 
 from collections.abc import Callable
 from http.server import ThreadingHTTPServer
@@ -12,8 +12,10 @@ _LOOPBACK = "127.0.0.1"
 _MAX_PORT = 65535
 
 
-def serve_http(make: Callable[[tuple[str, int]], ThreadingHTTPServer], where: str) -> None:
+def serve_http(make: Callable[[tuple[str, int]], ThreadingHTTPServer], where: str, path: str) -> None:
     """Serve at the address ``where`` until SIGINT or SIGTERM, which end it with exit code 0.
+
+    ``path``: where the address that is printed leads to.
 
     Raises:
         UsageError: ``where`` is not an address.
@@ -29,7 +31,7 @@ def serve_http(make: Callable[[tuple[str, int]], ThreadingHTTPServer], where: st
         ) from error
     with server, return_on_signal():
         host = f"[{address[0]}]" if ":" in address[0] else address[0]
-        console.print_message(f"serving http://{host}:{server.server_port}/metrics; press Ctrl-C to stop")
+        console.print_message(f"serving http://{host}:{server.server_port}{path}; press Ctrl-C to stop")
         server.serve_forever()
 
 

@@ -1,14 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Metrics in Prometheus' text formats, as a page and over HTTP (with prometheus_client)."""
 
-import contextlib
-import socket
-import threading
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from http import HTTPStatus
 from http.server import ThreadingHTTPServer
-from typing import Any
 from urllib.parse import urlsplit
 
 from prometheus_client import MetricsHandler, generate_latest
@@ -17,13 +12,9 @@ from prometheus_client.registry import Collector
 
 from edgectl.errors import EdgectlError
 from edgectl.export import metrics
+from edgectl.export.http_connections import BoundedServer, DeadlineRequestHandler
 from edgectl.export.metric_samples import Histogram, MetricsInput
 from edgectl.export.metrics import METRICS, MetricType
-
-# Of a request until it is complete, and of its answer once it is made.
-REQUEST_TIMEOUT_S = 10.0
-# Connections at once, and of these from one address.
-MAX_CONNECTIONS, MAX_PER_PEER = 64, 16
 
 
 def render_metrics_page(picture: MetricsInput) -> str:
@@ -79,86 +70,24 @@ def bind_metrics_server(
     Raises:
         OSError: the address cannot be bound.
     """
-    kind = _BoundedServerIPv6 if ":" in address[0] else _BoundedServer
-    return kind(
+    return BoundedServer(
         address,
         type("_Bound", (_MetricsRequestHandler,), {"look": staticmethod(look), "warn": staticmethod(warn)}),
     )
 
 
-class _BoundedServer(ThreadingHTTPServer):
-    """One thread per connection, up to a maximum in all and for one address; further ones are closed."""
-
-    daemon_threads = True
-    request_queue_size = MAX_CONNECTIONS
-
-    def __init__(self, address: tuple[str, int], handler: type[MetricsHandler]) -> None:
-        self._peers: Counter[str] = Counter()
-        self._guard = threading.Lock()
-        super().__init__(address, handler)
-
-    def process_request(self, request: Any, client_address: Any) -> None:  # noqa: ANN401
-        """Answer in a thread if the maximum is not reached."""
-        with self._guard:
-            peer = client_address[0]
-            free = self._peers.total() < MAX_CONNECTIONS and self._peers[peer] < MAX_PER_PEER
-            self._peers[peer] += free
-        if free:
-            super().process_request(request, client_address)
-        else:
-            self.shutdown_request(request)
-
-    def process_request_thread(self, request: Any, client_address: Any) -> None:  # noqa: ANN401
-        """Answer, and release the thread."""
-        try:
-            super().process_request_thread(request, client_address)
-        finally:
-            with self._guard:
-                self._peers[client_address[0]] -= 1
-                self._peers += Counter()  # without the addresses that have none left
-
-    def handle_error(self, request: object, client_address: object) -> None:
-        """Ignore a client that went away."""
-
-
-class _BoundedServerIPv6(_BoundedServer):
-    address_family = socket.AF_INET6
-
-
-def hang_up_socket(line: socket.socket) -> None:
-    """End a connection at once, which wakes the thread that reads it."""
-    with contextlib.suppress(OSError):
-        line.shutdown(socket.SHUT_RDWR)
-
-
-class _MetricsRequestHandler(MetricsHandler):
+class _MetricsRequestHandler(DeadlineRequestHandler, MetricsHandler):
     """One request."""
 
-    timeout = REQUEST_TIMEOUT_S
     look: Callable[[], MetricsInput]
     warn: Callable[[str], None]
-
-    def setup(self) -> None:
-        """Begin the deadline of the request: a byte now and then does not prolong it."""
-        super().setup()
-        self._limit_time()
-
-    def finish(self) -> None:
-        """End the deadline."""
-        self._timer.cancel()
-        super().finish()
-
-    def _limit_time(self) -> None:
-        self._timer = threading.Timer(self.timeout, hang_up_socket, (self.connection,))
-        self._timer.daemon = True
-        self._timer.start()
 
     def do_GET(self) -> None:  # noqa: N802, the name that http.server calls
         """Answer ``/metrics``; every other path is 404."""
         if urlsplit(self.path).path != "/metrics":
             self.send_error(HTTPStatus.NOT_FOUND, "metrics are at /metrics")
             return
-        self._timer.cancel()
+        self.end_deadline()
         try:
             self.registry = _FamilyCollector(build_metric_families(self.look()))
         except Exception as error:  # an error ends one scrape, never the server
@@ -170,5 +99,5 @@ class _MetricsRequestHandler(MetricsHandler):
             self.warn(reason)
             self.send_error(HTTPStatus.SERVICE_UNAVAILABLE, "no metrics", reason)
             return
-        self._limit_time()
+        self.begin_deadline()
         super().do_GET()

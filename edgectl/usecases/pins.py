@@ -51,7 +51,7 @@ _OBSTACLES = {
     ),
     RejectionRule.APART: (
         "may not run on {host}: the file of a task that it is apart from pins that one there",
-        "change apart or hosts.pin in {file}",
+        "change apart or hosts.pin of {entry} in its task file",
     ),
     RejectionRule.NO_LINK: ("can never run on {host}, which has no link to its robot", "edgectl doctor"),
 }

@@ -29,6 +29,11 @@ from tests.rospy_standin import write_standin
 DOCS = Path(__file__).parents[2] / "docs"
 ENDLESS = ("edgectl logs slam-robot1 -f",)
 SERVING = ("edgectl export prometheus --listen 127.0.0.1:9815",)
+SHOWING = (
+    "edgectl serve",
+    "edgectl serve --listen 9900 --every 2s",
+    "edgectl serve --listen 127.0.0.1:9817 --token-file serve.token",
+)
 # With a stand-in for the packages of ROS; make ros runs them with real ones.
 PUBLISHING = ("edgectl export ros", "edgectl export ros --setup /opt/ros/humble/setup.bash")
 WATCHING = ("edgectl watch --apply --every 30s",)
@@ -78,7 +83,7 @@ def examples() -> list[str]:
 def starts_a_process(line: str) -> bool:
     return (
         line.startswith(BECOMING)
-        or line in (*ASKING, *WATCHING, *ENDLESS, *SERVING, *PUBLISHING)
+        or line in (*ASKING, *WATCHING, *ENDLESS, *SERVING, *SHOWING, *PUBLISHING)
         or "-w" in line.split()
     )
 
@@ -102,6 +107,8 @@ def run_process(line: str, site: Path, env: dict[str, str]) -> int:
         return follow(words, site, env)
     if line in SERVING:
         return serve([word.replace(":9815", ":0") for word in words], site, env)
+    if line in SHOWING:
+        return serve([*words, "--listen", "127.0.0.1:0"], site, env)
     if line in PUBLISHING:
         return publish(words[:2], site, env)
     return watch(words, site, env)
@@ -133,7 +140,7 @@ def serve(words: list[str], site: Path, env: dict[str, str]) -> int:
     process = ForkedProcess(words, cwd=site, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     assert process.stderr is not None
     with process.stderr as said:
-        assert "serving http" in said.readline()
+        assert any("serving http" in said.readline() for _ in range(2))
         process.send_signal(signal.SIGINT)
         return process.wait(patience(30))
 

@@ -47,6 +47,7 @@ NOT_WANTED = {
     "edgectl.importers",
     "edgectl.solver",
     "edgectl.tui",
+    "edgectl.web",
     "edgectl.doctor",
     "edgectl.scaffold",
 }

@@ -13,8 +13,9 @@ from http.server import ThreadingHTTPServer
 import pytest
 
 from edgectl.errors import StateError
+from edgectl.export.http_connections import MAX_CONNECTIONS, MAX_PER_PEER
 from edgectl.export.metric_samples import MetricsInput
-from edgectl.export.prometheus import MAX_CONNECTIONS, MAX_PER_PEER, bind_metrics_server
+from edgectl.export.prometheus import bind_metrics_server
 from tests.export.metrics_inputs import a_metrics_input
 
 
