@@ -123,6 +123,8 @@ def test_a_command_imports_and_compiles_no_more_than(
     most_compiled: int,
     foreign: set[str],
 ) -> None:
+    if words[0] == "logs":
+        start(*fleet, "apply", "-y")  # the order of the cases is not given
     seen = start(*fleet, *words)
     assert not seen.modules & (NOT_WANTED | foreign)
     assert len(seen.modules) <= most_modules
