@@ -236,14 +236,13 @@ def test_changes_that_hold_at_the_end_are_undone_in_reverse(bench: Bench, tmp_pa
     log = tmp_path / "log"
     fleet = create_trial_fleet(bench.fleet, "nested", bench.probe())
     means = EventMeans(fleet=fleet, ask=ask_nobody, ended=threading.Event())
-    commands = {
+    runs = {
         name: EventCommand(argv=log_to(log, name), undo=log_to(log, f"un{name}"))
         for name in ("zed", "mid", "ant")
     }
     events = [
-        MissionEvent(name="zed", at=0.0, every=0.2, times=2, run=commands["zed"]),
-        MissionEvent(name="mid", at=0.0, run=commands["mid"]),
-        MissionEvent(name="ant", at=0.0, run=commands["ant"]),
+        MissionEvent(name="zed", run=runs["zed"], at=0.0, every=0.2, times=2),
+        *(MissionEvent(name=name, run=runs[name], at=0.0) for name in ("mid", "ant")),
     ]
     with EventPerformer(events, means, build_uniform_draw("1")) as performer:
         performer.begin_mission()
