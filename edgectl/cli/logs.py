@@ -44,13 +44,13 @@ def logs_command(
             "-n",
             metavar="N",
             min=0,
-            help="Number of last lines to print; default: 100, with --since all.",
+            help="Last N lines; else 100, or all with --since.",
             show_default=False,
         ),
     ] = None,
     since: Annotated[
         str | None,
-        Option("--since", metavar="TIME", help="Only lines newer than this: 10m, or 2026-11-21T08:00:00Z."),
+        Option("--since", metavar="TIME", help="Only lines newer than 10m, or than an instant (UTC)."),
     ] = None,
     previous: Annotated[
         bool, Option("--previous", "-p", help="The run before the present one, on the same host.")

@@ -27,7 +27,7 @@ from tests.ros1_peer import serve_master
 from tests.rospy_standin import write_standin
 
 DOCS = Path(__file__).parents[2] / "docs"
-ENDLESS = ("edgectl logs slam-robot1 -f",)
+ENDLESS = ("edgectl logs slam-robot1 -f --since 10m",)
 SERVING = ("edgectl export prometheus --listen 127.0.0.1:9815",)
 SHOWING = (
     "edgectl serve",
@@ -48,6 +48,7 @@ CODES = {
     "edgectl simulate merge docs/scenarios/sweep-robots.yaml part-1 part-2": 1,  # no other machine was here
     "edgectl simulate merge docs/scenarios/sweep-robots.yaml part-1 part-2 -o csv": 1,
     "edgectl profile slam-robot1 --write --yes": 1,  # too few samples after these few commands
+    "edgectl logs slam-robot1 --previous --tail 20": 1,  # it has run once
     "edgectl wait map-merge --for completed --timeout 2s": 1,
     "edgectl wait slam-robot1 --for gone --timeout 2s": 1,
     "edgectl drain edge1": FULL,
