@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may read the page: everybody on this machine, or who knows the token. Pure."""
+"""Access to the page: everybody on this machine, or who knows the token. Pure."""
 
 import hashlib
 import hmac
