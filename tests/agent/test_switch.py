@@ -319,7 +319,8 @@ def test_a_standby_is_not_fenced_until_it_is_active(host: AgentHost, tmp_path: P
 
 
 def test_a_stop_ends_an_activation_that_hangs(ticker: Ticker) -> None:
-    late = a_check(f"sleep 600 & wait; {ACTIVATE}", 300.0)
+    # Joined by &&: of the processes that the stop ends, sleep may be the first.
+    late = a_check(f"sleep 600 && {ACTIVATE}", 300.0)
     with with_rule(ticker, activate=late).hold("activate") as held:
         held.go()
         eventually(lambda: ticker.role() == ("active", True))
