@@ -4,6 +4,7 @@
 import math
 from dataclasses import replace
 
+from edgectl.experiments.simulator_flows import is_filled_at_times
 from edgectl.experiments.simulator_state import (
     SimSample,
     SimState,
@@ -75,10 +76,10 @@ def _read_live_links(state: SimState, snapshot: Snapshot) -> Snapshot:
 
 def _observe_link(state: SimState, edge: str, robot: str, used: float) -> LinkObservation:
     carries = get_link_bytes_per_s(state, edge, robot)
-    full = used >= carries * (1 - 1e-9)
+    full = used if used >= carries * (1 - 1e-9) else None
     return LinkObservation(
         used_bytes_per_s=used,
-        carries_bytes_per_s=used if full else None,
+        carries_bytes_per_s=carries if is_filled_at_times(state, edge, robot, carries) else full,
         interface="wlan0",
         answered=carries > 0.0,
     )
