@@ -17,7 +17,7 @@ from edgectl.experiments.model.scenario import Scenario, SimJob, SimRun, SimTimi
 from edgectl.experiments.simulator_events import start_events
 from edgectl.experiments.simulator_flows import get_job_speed
 from edgectl.experiments.simulator_oracle import assign_by_oracle
-from edgectl.experiments.simulator_probe import simulate_probe
+from edgectl.experiments.simulator_probe import pass_probe, simulate_probe
 from edgectl.experiments.simulator_speeds import notify_change, update_speeds
 from edgectl.experiments.simulator_state import (
     HostMeter,
@@ -30,12 +30,24 @@ from edgectl.experiments.simulator_state import (
     integrate_loads,
     list_external_placements,
 )
+from edgectl.model.assignment import Reason
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import Placement
 from edgectl.model.plan import Action, Step
 from edgectl.model.policy import Policy
 from edgectl.model.task import Task, Tasks
 from edgectl.scheduler.assign import assign
+
+
+# Of decisions for which it does not matter how much anything uses.
+_REASONS_WITHOUT_READINGS = (
+    Reason.NEVER_MOVED,
+    Reason.ONBOARD_LOCAL,
+    Reason.DONE,
+    Reason.UNMANAGED,
+    Reason.PREDECESSOR_INCOMPLETE,
+    Reason.PREDECESSOR_MISSING,
+)
 
 
 def draw_no_jitter(_stream: str) -> float:
@@ -175,13 +187,24 @@ def _compute_pause_s(timing: SimTiming, taken: float) -> float:
 
 
 def _plan_cycle(state: SimState) -> tuple[Step, ...]:
+    """Probe and plan. A plan for which no reading counts stands until something else changes (ADR 137)."""
+    if state.standing is not None and len(state.samples) == len(state.scenario.hosts):
+        pass_probe(state)
+        return state.standing
     snapshot = simulate_probe(state)
     assignment = assign(
         state.inventory, state.tasks, snapshot, state.manager, state.policy, state.env.now, explain=False
     )
     if state.oracle:
         assignment = assign_by_oracle(state, assignment)
-    return diff_assignment(assignment, state.tasks, snapshot, state.manager)
+    plan = diff_assignment(assignment, state.tasks, snapshot, state.manager)
+    state.standing = plan if not state.oracle and not any(map(_may_change, plan)) else None
+    return plan
+
+
+def _may_change(step: Step) -> bool:
+    """Whether the next plan may have another step although only readings and the time are others."""
+    return step.action.changes or step.decision.reason not in _REASONS_WITHOUT_READINGS
 
 
 def _run_step(state: SimState, step: Step) -> Generator[Any, Any, None]:

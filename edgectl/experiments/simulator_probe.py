@@ -43,10 +43,25 @@ def simulate_probe(state: SimState) -> Snapshot:
         hosts={host: _simulate_host_sample(state, host) for host in state.scenario.hosts},
         manager=state.manager,
     )
-    changes = state.scenario.links or any(
-        event.link is not None or event.lost is not None for event in state.scenario.events
+    return _read_live_links(state, snapshot) if _do_links_change(state) else snapshot
+
+
+def pass_probe(state: SimState) -> None:
+    """A probe of which nobody reads the snapshot: what else it leaves behind, the draws included."""
+    if state.scenario.events or _do_links_change(state):
+        simulate_probe(state)
+        return
+    for _ in state.scenario.hosts:
+        state.draw_normal()
+
+
+def _do_links_change(state: SimState) -> bool:
+    """Whether live capacities of links are read in this scenario."""
+    scenario = state.scenario
+    return scenario.live_links and (
+        bool(scenario.links)
+        or any(event.link is not None or event.lost is not None for event in scenario.events)
     )
-    return _read_live_links(state, snapshot) if changes and state.scenario.live_links else snapshot
 
 
 def _read_live_links(state: SimState, snapshot: Snapshot) -> Snapshot:

@@ -14,6 +14,7 @@ from edgectl.model.demand import ZERO
 from edgectl.model.inventory import Inventory
 from edgectl.model.link_reading import LinkHistory
 from edgectl.model.manager_state import ManagerState
+from edgectl.model.plan import Step
 from edgectl.model.policy import Policy, PolicyName
 from edgectl.model.resource import MEMORY
 from edgectl.model.snapshot import LinkSample, TaskSample
@@ -95,7 +96,7 @@ class SimState:
     them; ``happened``: all that ever did. ``working``: jobs in progress; ``robot_work`` and ``robot_done``:
     work by robot, in s, of all its jobs and of those parts of them that are done. ``courses``: with events,
     by task with work, its speed over time, up to ``course_ends``. ``samples``: what a probe of each host
-    shows until the next change, but for noise.
+    shows until the next change, but for noise; ``standing``: the plan that is made until then.
     """
 
     env: simpy.Environment
@@ -134,6 +135,7 @@ class SimState:
     courses: dict[str, list[tuple[float, float | None]]] = field(default_factory=dict)
     course_ends: dict[str, float] = field(default_factory=dict)
     samples: dict[str, SimSample] = field(default_factory=dict)
+    standing: tuple[Step, ...] | None = None
 
 
 def list_external_placements(state: SimState) -> Iterable[tuple[str, str]]:
