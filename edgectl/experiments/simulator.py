@@ -38,7 +38,6 @@ from edgectl.model.policy import Policy
 from edgectl.model.task import Task, Tasks
 from edgectl.scheduler.assign import assign
 
-
 # Of decisions for which it does not matter how much anything uses.
 _REASONS_WITHOUT_READINGS = (
     Reason.NEVER_MOVED,
