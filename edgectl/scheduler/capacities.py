@@ -4,10 +4,11 @@
 from collections.abc import Mapping
 from dataclasses import field
 from math import inf
+from operator import itemgetter
+from typing import TYPE_CHECKING
 
 from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Rejection, RejectionRule
-from edgectl.model.demand import Demand
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.resource import HOST_RESOURCES, Resource
@@ -15,6 +16,9 @@ from edgectl.model.snapshot import HostSample, Snapshot
 from edgectl.names import natural_key
 from edgectl.rules.slack import compute_slack
 from edgectl.scheduler.task_usage import TaskUsage
+
+if TYPE_CHECKING:
+    from edgectl.scheduler.demand import ClassDemands
 
 # Readings older than this are not trusted with new work.
 MAX_SAMPLE_AGE_S = 60.0
@@ -30,7 +34,7 @@ class Capacities:
     throughput are (ADR 0077). ``order`` is the position of each place in the natural order of all names.
     ``closed`` says why a place takes no new work; in ``hard`` that also drives away what runs
     there (drained, or left out by a what-if question). ``classes`` names the class of each place (ADR 0025),
-    ``demands`` holds rho by task and class, of tasks whose history decides it, "" for a class without enough;
+    ``demands`` holds rho by class, of the tasks whose history decides it;
     ``history`` is what was measured. ``floors``: by running task, the measured usage below which its demand
     does not count at any place (ADR 0060). ``noise``: of the readings by host and resource, as shares of the
     capacity, where it widens the slack.
@@ -48,7 +52,7 @@ class Capacities:
     closed: Mapping[int, Rejection]
     hard: frozenset[int]
     classes: tuple[str, ...] = ()
-    demands: Mapping[str, Mapping[str, Demand]] = field(default_factory=dict)
+    demands: Mapping[str, "ClassDemands"] = field(default_factory=dict)
     history: Mapping[tuple[str, str], MeasuredDemand] = field(default_factory=dict)
     floors: Mapping[str, TaskUsage] = field(default_factory=dict)
     noise: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
@@ -107,8 +111,8 @@ def build_capacities(
             name: tuple(capacity * host.limits[name] for capacity, host in zip(row, places, strict=True))
             for name, row in raw.items()
         },
-        links={robot: tuple(now for now, _ in row) for robot, row in links.items()},
-        nominal_links={robot: tuple(nominal for _, nominal in row) for robot, row in links.items()},
+        links={robot: tuple(map(itemgetter(0), row)) for robot, row in links.items()},
+        nominal_links={robot: tuple(map(itemgetter(1), row)) for robot, row in links.items()},
         closed=closed,
         hard=frozenset(
             place
