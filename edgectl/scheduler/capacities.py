@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Capacities (Delta) of the fleet: hosts as numbered places, and the hosts that are closed to new work."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import field
 from math import inf
 from operator import itemgetter
@@ -93,13 +93,7 @@ def build_capacities(
     }
     ranked = sorted(range(len(places)), key=lambda place: natural_key(places[place].name))
     order = dict(zip(ranked, range(len(ranked)), strict=True))
-    links = {
-        robot.name: [
-            _resolve_link(inventory, edge.name, sample, robot.name)
-            for edge, sample in zip(edges, samples, strict=False)  # the samples go on to the robots
-        ]
-        for robot in robots
-    }
+    links = {robot.name: _list_links(inventory, edges, samples, robot.name) for robot in robots}
     return Capacities(
         places=places,
         index={host.name: place for place, host in enumerate(places)},
@@ -134,22 +128,25 @@ def _resolve_capacity(host: Host, sample: HostSample | None, resource: Resource)
     return declared or sample.usage[resource.name].capacity
 
 
-def _resolve_link(
-    inventory: Inventory, edge: str, sample: HostSample | None, robot: str
-) -> tuple[float | None, float | None]:
-    """Delta_thp of one link, and what it carries at best: a declared link wins unless it carries less now,
-    but only an edge that reports the link has it.
+def _list_links(
+    inventory: Inventory, edges: Sequence[Host], samples: Sequence[HostSample | None], robot: str
+) -> list[tuple[float | None, float | None]]:
+    """Delta_thp of the link of each edge, and what it carries at best: a declared link wins unless it carries
+    less now, but only an edge that reports the link has it.
     """
-    link = sample.links.get(robot) if sample is not None else None
-    if link is None:
-        return None, None
-    now, links = link.capacity_bytes_per_s, inventory.links
-    declared = links.get((edge, robot)) if links else None
-    if not now:
-        return now, 0.0
-    if declared is None:
-        return now, link.nominal_bytes_per_s
-    return declared if link.nominal is None else min(declared, now), declared
+    stated = inventory.links
+    found: list[tuple[float | None, float | None]] = []
+    for edge, sample in zip(edges, samples, strict=False):  # the samples go on to the robots
+        link = sample.links.get(robot) if sample is not None else None
+        now = None if link is None else link.capacity_bytes_per_s
+        declared = stated.get((edge.name, robot)) if stated else None
+        if link is None or not now:
+            found.append((now, None if now is None else 0.0))
+        elif declared is None:
+            found.append((now, link.nominal_bytes_per_s))
+        else:
+            found.append((declared if link.nominal is None else min(declared, now), declared))
+    return found
 
 
 def _find_closing_rule(

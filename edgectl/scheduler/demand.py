@@ -77,9 +77,9 @@ class ClassDemands:
 
     def find_least(self, resource: str, capacity: float) -> float:
         """The least that the demand means on a host with ``capacity`` of ``resource``, whatever its class."""
-        values = [found.used.get(resource) for found in self.known.values()]
-        if self._follows and None not in values:
-            return min(value for value in values if value is not None)  # elsewhere the greatest counts
+        values = [found.used[resource] for found in self.known.values() if resource in found.used]
+        if self._follows and len(values) == len(self.known):
+            return min(values)  # elsewhere the greatest counts
         return min((demand[resource] or ZERO).of(capacity) for demand in self.list_all())
 
 
