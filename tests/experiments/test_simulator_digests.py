@@ -45,7 +45,7 @@ DIGESTS = {
     "patrol": {
         "local": "39490dd77b2c",
         "static": "455426a18934",
-        "utility all": "817bd8f3d5cb",
+        "utility all": "6dc868f3e28f",
         "paper all": "02bb7961fcf5",
     },
 }
