@@ -115,8 +115,8 @@ class SimState:
     the plan is about to start. ``happening``: events of which the change holds, by name, as ``overlay`` has
     them; ``happened``: all that ever did. ``working``: jobs in progress; ``robot_work`` and ``robot_done``:
     work by robot, in s, of all its jobs and of those parts of them that are done. ``courses``: with events,
-    by task with work, its speed over time, up to ``course_ends``. ``samples``: what a probe of each host
-    shows until the next change, but for noise.
+    by task with work, its speed over time, from its entry or its first job up to ``course_ends``.
+    ``samples``: what a probe of each host shows until the next change, but for noise.
     """
 
     env: simpy.Environment
@@ -200,7 +200,9 @@ def notify_change(state: SimState) -> None:
 
 
 def _record_courses(state: SimState) -> None:
-    """The speed of each task from its first job to the end of its last one; None while it does not run."""
+    """The speed of each task from its entry or its first job to the end of its last one; None while it does
+    not run.
+    """
     now = state.env.now
     for part in state.working.values():
         state.courses.setdefault(part.task, [])
