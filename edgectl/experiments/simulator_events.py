@@ -60,7 +60,11 @@ def _begin_change(state: SimState, event: MissionEvent) -> int:
     state.happening = {**others, event.name: event}
     state.happened.add(event.name)
     state.overlay = _build_overlay(state)
-    state.records.append(begin_record(event, state.env.now, state.all_tasks))
+    record = begin_record(event, state.env.now, state.all_tasks)
+    state.records.append(record)
+    for name in record.tasks:
+        if name in state.left:
+            state.courses.setdefault(name, [])
     BEGIN_SIMULATED.get(event.change, _change_nothing_else)(state, event)
     update_speeds(state)
     return len(state.records) - 1

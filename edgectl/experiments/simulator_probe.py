@@ -27,7 +27,7 @@ from edgectl.model.snapshot import (
     TaskState,
 )
 from edgectl.rules.link_turns import choose_links_to_probe, find_link_use
-from edgectl.rules.live_links import add_sample, apply_live_capacities, observe_link
+from edgectl.rules.live_links import add_sample, apply_live_capacities, forget_former_readings, observe_link
 
 # Standard deviation of the logarithm of what a probe of an idle link reads.
 _PROBE_SPREAD = 0.05
@@ -72,12 +72,13 @@ def _read_live_links(state: SimState, snapshot: Snapshot) -> Snapshot:
         for edge, sample in snapshot.hosts.items()
         for robot, link in sample.links.items()
     }
-    known = {
+    observed = {
         pair: observe_link(
             state.histories.get(pair, LinkHistory()), link, now, get_nominal_bytes_per_s(state, *pair)
         )
         for pair, link in seen.items()
     }
+    known = forget_former_readings(observed, now)
     live = apply_live_capacities(snapshot, known, seen, now)
     use = find_link_use(live, {name: each.task.robots for name, each in state.services.items()})
     for edge, robot in choose_links_to_probe(state.inventory, live, known, seen, now, use):

@@ -80,7 +80,9 @@ def notify_change(state: SimState) -> None:
 
 
 def _record_courses(state: SimState) -> None:
-    """The speed of each task from its first job to the end of its last one; None while it does not run."""
+    """The speed of each task from its entry or its first job to the end of its last one; None while it does
+    not run.
+    """
     now = state.env.now
     for part in state.working.values():
         state.courses.setdefault(part.job.task, [])
