@@ -6,7 +6,7 @@ New tasks, which run nowhere, come in every round, and every manager wants them 
 
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from subprocess import Popen
@@ -65,7 +65,9 @@ def open_site(fleet: FaultFleet) -> Site:
     return Site(fleet=fleet, cluster=cluster, relays=relays, managers=managers)
 
 
-def play_rounds(fleet: FaultFleet, disturb: Disturb, *, most_s: float = 4.0, **env: str) -> None:
+def play_rounds(
+    fleet: FaultFleet, disturb: Disturb, *, most_s: float = 4.0, env: Mapping[str, str] | None = None
+) -> None:
     """In each round all managers apply at once, and something is broken meanwhile; then one applies alone.
 
     ``most_s``: for so long it is broken at most. ``env``: of the first manager that applies.
@@ -77,7 +79,7 @@ def play_rounds(fleet: FaultFleet, disturb: Disturb, *, most_s: float = 4.0, **e
         for manager in site.managers:
             manager.want_at_random()
         first, *others = fleet.random.sample(site.managers, 3)
-        running = [first.start(*PATIENT, **env), *(each.start(*PATIENT) for each in others)]
+        running = [first.start(*PATIENT, **(env or {})), *(each.start(*PATIENT) for each in others)]
         fleet.wait(fleet.random.uniform(0.3, 2.5))
         fleet.injected += 1
         with disturb(site, running):
@@ -204,4 +206,4 @@ def freeze_managers(fleet: FaultFleet) -> None:
     missing=find_missing_compiler,
 )
 def skew_a_manager(fleet: FaultFleet) -> None:
-    play_rounds(fleet, lambda _site, _running: nullcontext(), **build_skewed_env(fleet, DAY))
+    play_rounds(fleet, lambda _site, _running: nullcontext(), env=build_skewed_env(fleet, DAY))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from tests.faults.fault_list import list_faults
 from tests.faults.fleet import FLEET, EdgectlVariant, open_fleet
+from tests.faults.oracle import list_lifetimes
 from tests.faults.registry import Fault, draw_names
 from tests.protocol.recorder import Event, Recorder, format_observed
 from tests.protocol.tlc import MODEL, Bounds, Verdict, check_model, format_config
@@ -47,7 +48,10 @@ def observe_fault(each: Fault, seed: int, *, sample: bool) -> Observation:
         Recorder(homes={name: host.home for name, host in fleet.hosts.items()}, fleet=FLEET) as recorder,
     ):
         each.inject(fleet)
-    return Observation(fault=each.name, seed=seed, looks=recorder.looks, gaps=recorder.gaps)
+        recorder.end()
+        unseen = {life.cookie for life in list_lifetimes(fleet.records)} - recorder.instances
+    gaps = recorder.gaps + [f"an instance that no look saw: {instance}" for instance in sorted(unseen)]
+    return Observation(fault=each.name, seed=seed, looks=recorder.looks, gaps=gaps)
 
 
 def check_observation(seen: Observation, directory: Path, *, memory: str = "1g") -> tuple[bool, Verdict]:

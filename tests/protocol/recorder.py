@@ -2,7 +2,7 @@
 """What is seen of a fleet on its hosts while it is broken: who is granted the fleet, what starts, and what stops.
 
 Reads the records that hosts keep (two versions of each, numbered), and shares no code with edgectl. What is seen at
-one look may have happened in any order. A record of which more versions came between two looks than it keeps is a gap.
+one look may have happened in any order. A grant of which no look saw the record is a gap: epochs are counted.
 """
 
 import json
@@ -39,9 +39,10 @@ class Recorder:
     fleet: str
     looks: list[frozenset[Event]] = field(default_factory=list)
     gaps: list[str] = field(default_factory=list)
+    instances: set[str] = field(default_factory=set)
     _seen: dict[Path, int] = field(default_factory=dict)
-    _holders: dict[str, tuple[str, int]] = field(default_factory=dict)
-    _living: set[tuple[str, str]] = field(default_factory=set)
+    _epochs: dict[str, int] = field(default_factory=dict)
+    _living: dict[tuple[str, str], str] = field(default_factory=dict)
     _bases: dict[str, Path] = field(default_factory=dict)
     _over: threading.Event = field(default_factory=threading.Event)
 
@@ -59,6 +60,10 @@ class Recorder:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.end()
+
+    def end(self) -> None:
+        """Look once more, and end."""
         self._over.set()
         self._thread.join()
 
@@ -73,27 +78,35 @@ class Recorder:
 
     def _look_at_lease(self, host: str, path: Path) -> Iterator[Event]:
         for document in self._read_new(path):
-            key = (str(document["session"]), int(str(document["epoch"])))
-            if document.get("until") and self._holders.get(host) != key:
-                self._holders[host] = key
-                term = document.get("term") or ["", 0]
-                assert isinstance(term, list)
-                yield Event(
-                    kind="grant",
-                    host=host,
-                    session=key[0],
-                    holder=str(document["holder"]),
-                    manager=str(document["manager"]),
-                    revision=int(term[1]) if term[0] == document["holder"] else 0,
-                )
+            last, epoch = self._epochs.get(host, 0), int(str(document["epoch"]))
+            if epoch == last:
+                continue
+            if epoch > last + 1:
+                self.gaps.append(f"{host}: epochs {last + 1} to {epoch - 1}")
+            self._epochs[host] = epoch
+            term = document.get("term") or ["", 0]
+            assert isinstance(term, list)
+            yield Event(
+                kind="grant",
+                host=host,
+                session=str(document["session"]),
+                holder=str(document["holder"]),
+                manager=str(document["manager"]),
+                revision=int(term[1]) if term[0] == document["holder"] else 0,
+            )
 
     def _look_at_task(self, host: str, path: Path) -> Iterator[Event]:
         key = (host, path.parent.name)
         for document in self._read_new(path):
-            living = document.get("state") in LIVING
-            if living != (key in self._living):
-                self._living ^= {key}
-                yield Event(kind="start" if living else "stop", host=host, task=key[1])
+            instance, lives = str(document["instance"]), document.get("state") in LIVING
+            before = self._living.get(key)
+            if before is not None and (before != instance or not lives):
+                del self._living[key]
+                yield Event(kind="stop", host=host, task=key[1])
+            if lives and before != instance:
+                self._living[key] = instance
+                self.instances.add(instance)
+                yield Event(kind="start", host=host, task=key[1])
 
     def _read_new(self, path: Path) -> list[dict[str, object]]:
         """The versions that were not seen before, in their order."""
@@ -107,8 +120,6 @@ class Recorder:
         last = self._seen.get(path, 0)
         new = [(number, text) for number, text in versions if number > last]
         if new:
-            if new[0][0] > last + 1:
-                self.gaps.append(f"{path}: {last + 1} to {new[0][0] - 1}")
             self._seen[path] = new[-1][0]
         return [json.loads(text) for _, text in new]
 
