@@ -22,7 +22,13 @@ from edgectl.scheduler.garbage import pause_collection
 from edgectl.scheduler.initial_state import InitialState, build_initial_state
 from edgectl.scheduler.integer_program import Solver
 from edgectl.scheduler.move_cost import collect_handoff_history
-from edgectl.scheduler.operator_pins import explain_pins, pin_tasks, resolve_pins
+from edgectl.scheduler.operator_pins import (
+    NOTHING_YIELDED,
+    explain_pins,
+    find_yielded_hosts,
+    pin_tasks,
+    resolve_pins,
+)
 from edgectl.scheduler.placement_rules import NO_RULES, build_placement_rules
 from edgectl.scheduler.policies import POLICIES
 from edgectl.scheduler.preference import sign_weights
@@ -91,7 +97,8 @@ def _assign(
         else {}
     )
     unpinned = order_tasks(tasks.tasks.values(), used.sequence)
-    order = pin_tasks(unpinned, pins)
+    yielded = find_yielded_hosts(unpinned, pins) if pins and rules.settles else NOTHING_YIELDED
+    order = pin_tasks(unpinned, pins, yielded)
     context = AssignmentContext(
         arrays=_load_array_scan(fleet, tasks, used),
         fleet=fleet,
@@ -126,7 +133,7 @@ def _assign(
     used_places = {place for place, _ in outcome.placed.values()}
     return Assignment(
         policy=used,
-        decisions=explain_pins(outcome.decisions, pins),
+        decisions=explain_pins(outcome.decisions, pins, yielded),
         expected=expected.expected(used_places.union(*(each.places for each in standbys))) if explain else {},
         standbys=build_standby_steps(made, standbys, expected),
         settled=settled,
