@@ -32,6 +32,7 @@ from edgectl.scheduler.operator_pins import (
 from edgectl.scheduler.placement_rules import NO_RULES, build_placement_rules
 from edgectl.scheduler.policies import POLICIES
 from edgectl.scheduler.preference import sign_weights
+from edgectl.scheduler.ratings import collect_ratings
 from edgectl.scheduler.reservation import reserve_running_tasks
 from edgectl.scheduler.scan import build_demand_shares
 from edgectl.scheduler.sequence import order_tasks
@@ -66,6 +67,7 @@ def assign(
     the same, and the numbers and warnings are left out (ADR 134).
 
     Raises:
+        UsageError: the policy weighs ratings of plugins that the snapshot does not hold.
         ValueError: the tasks' needs form a cycle, or the weights are not usable (validation of the files
             finds both).
     """
@@ -109,6 +111,7 @@ def _assign(
         first=_select_first_placements(manager, state),
         handoffs=collect_handoff_history(manager),
         placement_rules=build_placement_rules(order, fleet, state) if rules.settles else NO_RULES,
+        ratings=collect_ratings(used, snapshot, fleet),
         turns={} if rules.settles else {task.name: turn for turn, task in enumerate(order)},
     )
     how = PlacementPass(
