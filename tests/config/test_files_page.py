@@ -30,7 +30,15 @@ from edgectl.experiments.files import experiment_file, run_codec, scenario_file
 from edgectl.formats.kinds import PLAN_KIND, SNAPSHOT_KIND
 from edgectl.model.inventory import Host, Role
 from edgectl.model.latency import LatencySample
-from edgectl.model.snapshot import DeviceSample, HostSample, InterfaceSample, OtherTask, TaskSample, TaskState
+from edgectl.model.snapshot import (
+    DeviceSample,
+    HostSample,
+    InterfaceSample,
+    OtherTask,
+    TaskSample,
+    TaskState,
+    TermRatings,
+)
 from edgectl.model.snapshot import HostStatus as Status
 from edgectl.model.task import Task
 from tests.config.test_bad_documents import PLAN, SNAPSHOT
@@ -161,7 +169,12 @@ def test_keys_of_a_snapshot_are_complete() -> None:
         counters="installed",
     )
     document = SNAPSHOT_KIND.encode(
-        type(SNAPSHOT)(taken_at=0.0, hosts={"h": sample}, manager=SNAPSHOT.manager)
+        type(SNAPSHOT)(
+            taken_at=0.0,
+            hosts={"h": sample},
+            manager=SNAPSHOT.manager,
+            ratings={"heat": TermRatings(package="lab 0.1", tasks={"t": {"h": 0.5}})},
+        )
     )
     encoded = document["hosts"]["h"]  # type: ignore[index]
     assert read_tables("## Snapshot") == [list(document), list(encoded), list(encoded["tasks"]["t"])]
