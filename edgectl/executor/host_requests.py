@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping
 
 from edgectl.agent.link import protocol
 from edgectl.model.check import AliveRule, Check, CheckLocation, OnUnhealthy
+from edgectl.model.image import ContainerImage
 from edgectl.model.inventory import Host
 from edgectl.model.latency import HeardRule
 from edgectl.model.standby import Activation
@@ -61,7 +62,8 @@ def _encode_spec(task: Task, host: Host, hosts: Hosts) -> Request:
         "command": task.command,
         "prelude": host.prelude,
         "env": merge_environment(task, host, hosts),
-        "workdir": task.workdir,
+        "workdir": task.host_workdir,
+        "image": None if task.image is None else _encode_image(task, task.image),
         "kind": task.kind.value,
         "restart": task.restart.value,
         "stop": encode_stop_rule(task.stop),
@@ -78,6 +80,23 @@ def _encode_spec(task: Task, host: Host, hosts: Hosts) -> Request:
         "file": task.file,
         "needed": "",
         "replaces": None,
+    }
+
+
+def _encode_image(task: Task, image: ContainerImage) -> Request:
+    """The container of a task; its variables are among those of the task."""
+    return {
+        "name": image.name,
+        "engine": None if image.engine is None else image.engine.value,
+        "gpus": image.gpus,
+        "devices": list(image.devices),
+        "volumes": list(image.volumes),
+        "user": image.user,
+        "network": image.network,
+        "ipc": image.ipc,
+        "pull": image.pull.value,
+        "args": list(image.args),
+        "workdir": task.workdir,
     }
 
 

@@ -137,6 +137,7 @@ SPEC_KEYS = (
     "prelude",
     "env",
     "workdir",
+    "image",
     "kind",
     "restart",
     "stop",

@@ -30,6 +30,8 @@ def start_task(request: Document) -> Document:
         state_dir.check_name(request["task"]),
         request["spec"],
     )
+    if spec.get("image"):
+        raise RefusalError("no-container-engine", "this release starts no containers", "remove image")
     task_scope = scope.choose_scope(spec.get("runtime") or "auto", host, task, spec.get("limits"))
     logind.check_survives_logout()
     status.check_generation(host, task, int(request["generation"]))
