@@ -165,6 +165,19 @@ def _encode_alive(rule: AliveRule, host: Host) -> Request:
     }
 
 
+def build_pull_request(task: Task, image: ContainerImage, host: Host, *, timeout_s: float) -> Request:
+    """Have the image of ``task`` on ``host``; the instance, for which it is pulled once, is a placeholder."""
+    return {
+        "op": protocol.OP_PULL,
+        "fleet": host.fleet,
+        "host": host.name,
+        "task": task.name,
+        "instance": NO_INSTANCE,
+        "image": _encode_image(task, image),
+        "timeout_s": timeout_s,
+    }
+
+
 def build_takeover_request(task: Task, host: Host, hosts: Hosts) -> Request:
     """Give the living instance of ``task`` on ``host``, whose supervisor was lost, a new one; completed as a
     start request is.

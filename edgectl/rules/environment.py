@@ -24,8 +24,8 @@ def merge_environment(
 
     Secrets are masked. EDGECTL_ROBOT and EDGECTL_ROBOT_HOST name the first robot and its address;
     EDGECTL_ROBOTS and EDGECTL_ROBOT_HOSTS all of them and their addresses, separated by spaces, in the same
-    order. ``host_more`` and ``task_more`` are what the two ``env_command`` printed. What its image states comes
-    last; what follows from ``ros`` of the host comes first of all, and its address is left out where a name
+    order. ``host_more`` and ``task_more`` are what the two ``env_command`` printed. What its image states
+    comes last. What follows from ``ros`` of the host comes first of all; its address is left out where a name
     or an address is stated.
     """
     own = {"EDGECTL_TASK": task.name, "EDGECTL_HOST": host.name, "EDGECTL_ROBOTS": " ".join(task.robots)}

@@ -299,6 +299,7 @@ def _render_run_rows(sample: TaskSample, now: float, state: Cell | None = None) 
         ("Since:", since),
         ("Ended:", "" if sample.ended_at is None else _format_ago(sample.ended_at, now)),
         ("Process:", str(sample.pid or "")),
+        ("Container:", sample.container),
         ("Restarts:", str(sample.restarts)),
         ("Last exit:", "" if sample.last_exit is None else str(sample.last_exit)),
         ("Exit code:", "" if sample.exit_code is None else str(sample.exit_code)),
