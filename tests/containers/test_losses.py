@@ -7,6 +7,7 @@ After each loss there is exactly one instance; after the stop nothing of it is l
 import contextlib
 import os
 import signal
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -123,7 +124,9 @@ def lose_power(host: ContainerHost, engine: DockerEngine) -> None:
     """Everything dies at once; the engine comes back with its disk."""
     kill({host.supervisor("slam")} | list_followers(host))
     engine.kill()
-    eventually(lambda: kill(set(engine.list_processes())) or not engine.list_processes())
+    while left := set(engine.list_processes()):
+        kill(left)
+        time.sleep(0.05)
     engine.start()
 
 
