@@ -4,6 +4,7 @@
 Pure; the same inputs give the same bytes.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot
-from edgectl.model.task import Tasks
+from edgectl.model.task import Task, Tasks
 from edgectl.scheduler.best_plan import find_best_plan
 from edgectl.scheduler.candidates import AssignmentContext
 from edgectl.scheduler.capacities import Capacities, build_capacities
@@ -102,7 +103,7 @@ def _assign(
     yielded = find_yielded_hosts(unpinned, pins) if pins and rules.settles else NOTHING_YIELDED
     order = pin_tasks(unpinned, pins, yielded)
     context = AssignmentContext(
-        arrays=_load_array_scan(fleet, tasks, used),
+        arrays=_load_array_scan(fleet, order, used),
         fleet=fleet,
         policy=sign_weights(used) if rules.settles else used,
         rules=rules.candidates,
@@ -148,15 +149,15 @@ def _assign(
     )
 
 
-def _load_array_scan(fleet: Capacities, tasks: Tasks, policy: Policy) -> "ArrayScan | None":
+def _load_array_scan(fleet: Capacities, order: Sequence[Task], policy: Policy) -> "ArrayScan | None":
     """The scan in NumPy where that pays, and where NumPy is installed (extra ``scale``)."""
-    if fleet.edges * len(tasks.tasks) < MIN_ARRAY_PAIRS:
+    if fleet.edges * len(order) < MIN_ARRAY_PAIRS:
         return None
     try:
         from edgectl.scheduler.array_scan import build_array_scan
     except ImportError:
         return None
-    return build_array_scan(fleet, policy.weights)
+    return build_array_scan(fleet, policy.weights, (task.name for task in order))
 
 
 def _select_first_placements(manager: ManagerState, state: InitialState) -> dict[str, str]:

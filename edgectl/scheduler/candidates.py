@@ -297,7 +297,7 @@ def _list_candidates(
     """The places that a ranking of ``task`` lists, and the places that may not take it."""
     fleet = context.fleet
     listed: Sequence[int] = (*range(fleet.edges), *robots) if robots else range(fleet.edges)
-    denied: Mapping[int, Rejection] = _get_edge_rejections(context, task)
+    denied: Mapping[int, Rejection] = get_edge_rejections(context, task)
     if robots:
         denied = {
             **denied,
@@ -313,7 +313,7 @@ def _list_candidates(
     return listed, denied
 
 
-def _get_edge_rejections(context: AssignmentContext, task: Task) -> dict[int, Rejection]:
+def get_edge_rejections(context: AssignmentContext, task: Task) -> dict[int, Rejection]:
     """Edges that may not take ``task``: by its rules, or closed to everybody."""
     rules = task.hosts
     only = task.onboard is OnboardRule.ONLY or not context.rules.edges

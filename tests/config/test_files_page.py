@@ -26,7 +26,7 @@ from edgectl.config import (
 from edgectl.config import fields as config_fields
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.config.problems import ProblemCode
-from edgectl.experiments.files import experiment_file, run_codec
+from edgectl.experiments.files import experiment_file, run_codec, scenario_file
 from edgectl.formats.kinds import PLAN_KIND, SNAPSHOT_KIND
 from edgectl.model.inventory import Host, Role
 from edgectl.model.latency import LatencySample
@@ -83,6 +83,11 @@ TABLES: Mapping[str, tuple[Mapping[str, object], ...]] = {
     "## Experiment": (experiment_file.EXPERIMENT_KEYS,),
     "### Schemes": (experiment_file.SCHEMES_KEYS,),
     "### Maps": (experiment_file.MAP_PAIR_KEYS,),
+    "## Scenario": (scenario_file.SCENARIO_KEYS,),
+    "### Simulated hosts": (scenario_file.SIM_HOST_KEYS,),
+    "### Simulated jobs": (scenario_file.JOB_KEYS,),
+    "### Timing": (scenario_file.TIMING_KEYS,),
+    "### Simulated links": (scenario_file.LINK_KEYS,),
 }
 
 
