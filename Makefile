@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: docs image model browser engines containers sensitivity latency handoffs ros ros-whole throughput quality demo experiment evaluation test test-fast check style setup audit bench faults fuzz soak clean
+.PHONY: docs versions image model browser engines containers sensitivity latency handoffs ros ros-whole throughput quality demo experiment evaluation test test-fast check style setup audit bench faults fuzz soak clean
 PY := .venv/bin/python
 export PYTHON
 
@@ -40,6 +40,14 @@ test-fast: setup
 	@.ci/need-promtool
 	@.ci/need-etcd
 	@$(PY) -m tests.suite $(PURE:%=tests/%) -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
+
+# The fast suite with each other Python that is here (3.12 to 3.14), and with every dependency at the floor that pyproject.toml
+# states: .ci/pythons and .ci/lowest make environments of their own.
+versions: setup
+	@.ci/need-promtool
+	@.ci/need-etcd
+	@.ci/pythons $(PURE:%=tests/%) -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
+	@.ci/lowest $(PURE:%=tests/%) -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
 
 # On a real ROS 1, out of Debian's packages, and rclpy of ROS 2, which are installed where they are missing; without them this fails.
 # make ros LAUNCH=all imports and runs all launch files of the tests, not two of them: five minutes more.
@@ -149,4 +157,4 @@ evaluation: setup
 	@$(PY) -m tests.docs.evaluation
 
 clean:
-	rm -rf .site .venv .venv-ros2 .venv-cyclone .venv-engines .pytest_cache .mypy_cache .ruff_cache .hypothesis dist build
+	rm -rf .site .venv .venv-3.* .venv-lowest .venv-ros2 .venv-cyclone .venv-engines .pytest_cache .mypy_cache .ruff_cache .hypothesis dist build
