@@ -23,10 +23,17 @@ from edgectl.scheduler.garbage import pause_collection
 from edgectl.scheduler.initial_state import InitialState, build_initial_state
 from edgectl.scheduler.integer_program import Solver
 from edgectl.scheduler.move_cost import collect_handoff_history
-from edgectl.scheduler.operator_pins import explain_pins, pin_tasks, resolve_pins
+from edgectl.scheduler.operator_pins import (
+    NOTHING_YIELDED,
+    explain_pins,
+    find_yielded_hosts,
+    pin_tasks,
+    resolve_pins,
+)
 from edgectl.scheduler.placement_rules import NO_RULES, build_placement_rules
 from edgectl.scheduler.policies import POLICIES
 from edgectl.scheduler.preference import sign_weights
+from edgectl.scheduler.ratings import collect_ratings
 from edgectl.scheduler.reservation import reserve_running_tasks
 from edgectl.scheduler.scan import build_demand_shares
 from edgectl.scheduler.sequence import order_tasks
@@ -61,6 +68,7 @@ def assign(
     the same, and the numbers and warnings are left out (ADR 134).
 
     Raises:
+        UsageError: the policy weighs ratings of plugins that the snapshot does not hold.
         ValueError: the tasks' needs form a cycle, or the weights are not usable (validation of the files
             finds both).
     """
@@ -92,7 +100,8 @@ def _assign(
         else {}
     )
     unpinned = order_tasks(tasks.tasks.values(), used.sequence)
-    order = pin_tasks(unpinned, pins)
+    yielded = find_yielded_hosts(unpinned, pins) if pins and rules.settles else NOTHING_YIELDED
+    order = pin_tasks(unpinned, pins, yielded)
     context = AssignmentContext(
         arrays=_load_array_scan(fleet, order, used),
         fleet=fleet,
@@ -103,6 +112,7 @@ def _assign(
         first=_select_first_placements(manager, state),
         handoffs=collect_handoff_history(manager),
         placement_rules=build_placement_rules(order, fleet, state) if rules.settles else NO_RULES,
+        ratings=collect_ratings(used, snapshot, fleet),
         turns={} if rules.settles else {task.name: turn for turn, task in enumerate(order)},
     )
     how = PlacementPass(
@@ -127,7 +137,7 @@ def _assign(
     used_places = {place for place, _ in outcome.placed.values()}
     return Assignment(
         policy=used,
-        decisions=explain_pins(outcome.decisions, pins),
+        decisions=explain_pins(outcome.decisions, pins, yielded),
         expected=expected.expected(used_places.union(*(each.places for each in standbys))) if explain else {},
         standbys=build_standby_steps(made, standbys, expected),
         settled=settled,

@@ -7,7 +7,7 @@ A pass that repeats a plan asks this for every task, and nearly always the answe
 from dataclasses import dataclass, field
 
 from edgectl.model.policy import Preference
-from edgectl.model.resource import AFFINITY, LATENCY, NETWORK
+from edgectl.model.resource import AFFINITY, LATENCY, NETWORK, RATING
 from edgectl.scheduler.candidates import CandidateSet, terms_at
 from edgectl.scheduler.latency import is_latency_weighed
 from edgectl.scheduler.ledger import NO_FREE_SHARE
@@ -42,6 +42,7 @@ def stays_in_place(candidates: CandidateSet, peaks: LoadPeaks) -> bool:
         or here in candidates.denied
         or candidates.task.name in context.handoffs.downtimes
         or context.policy.weights[LATENCY] != 0.0
+        or context.policy.weights[RATING] != 0.0
         or is_latency_weighed(context.policy, candidates.task)
     ):
         return False
