@@ -218,15 +218,6 @@ def test_a_fall_makes_older_readings_of_other_links_of_the_robot_void() -> None:
     assert forget_former_readings(known, NOW + 2.0) == known, "once"
 
 
-def test_links_that_were_read_just_before_a_fall_are_not_probed_for_it() -> None:
-    """The robot's tasks have moved from a bad link to a worse one; of the one they left there is a reading."""
-    fell = at(NOW - 100.0, fell=NOW - 1.0, rates=(2e5,))
-    left = at(NOW - FRESH_S, rates=(2e5,))
-    assert of_robot1(choose({("edge1", "robot1"): fell, ("edge2", "robot1"): left}, ON_EDGE1)) == {
-        ("edge3", "robot1")
-    }
-
-
 def test_a_robot_that_is_cut_off_counts_as_fallen() -> None:
     known = observe_link(LinkHistory(), LinkObservation(answered=True), NOW - 30.0)
     for second in (20.0, 10.0, 0.0):
