@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: docs image model browser engines sensitivity latency handoffs ros ros-whole throughput quality demo experiment evaluation test test-fast check style setup audit bench faults fuzz soak clean
+.PHONY: docs versions image model browser engines containers sensitivity latency handoffs ros ros-whole throughput quality demo experiment evaluation test test-fast check style setup audit bench faults fuzz soak clean
 PY := .venv/bin/python
 export PYTHON
 
@@ -29,9 +29,10 @@ test: style
 	@.ci/need-faults
 	@.ci/need-promtool
 	@.ci/need-etcd
+	@.ci/need-docker
 	@.ci/need-shells
 	@.ci/need-tlc
-	@PATH="$$PATH:/usr/sbin:/sbin" .ci/with-types $(PY) -m tests.suite tests --ignore=tests/benchmarks --ignore=tests/ros --ignore=tests/engines --ignore=tests/browser -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+	@PATH="$$PATH:/usr/sbin:/sbin" .ci/with-types $(PY) -m tests.suite tests --ignore=tests/benchmarks --ignore=tests/ros --ignore=tests/engines --ignore=tests/browser --ignore=tests/containers/test_lifecycle.py --ignore=tests/containers/test_losses.py --ignore=tests/containers/test_apply.py -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 # Tests without real hosts: rules, files, documents, views, and simulated fleets.
 PURE := config doctor experiments executor export formats fuzz gateway importers model rules scheduler simulation state tui usecases views web test_rooms.py
@@ -39,6 +40,14 @@ test-fast: setup
 	@.ci/need-promtool
 	@.ci/need-etcd
 	@$(PY) -m tests.suite $(PURE:%=tests/%) -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
+
+# The fast suite with each other Python that is here (3.12 to 3.14), and with every dependency at the floor that pyproject.toml
+# states: .ci/pythons and .ci/lowest make environments of their own.
+versions: setup
+	@.ci/need-promtool
+	@.ci/need-etcd
+	@.ci/pythons $(PURE:%=tests/%) -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
+	@.ci/lowest $(PURE:%=tests/%) -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
 
 # On a real ROS 1, out of Debian's packages, and rclpy of ROS 2, which are installed where they are missing; without them this fails.
 # make ros LAUNCH=all imports and runs all launch files of the tests, not two of them: five minutes more.
@@ -88,6 +97,12 @@ engines: setup
 # The table and the figure of docs/evaluation/sensitivity.md, from its committed results; worlds that are missing are simulated.
 sensitivity: setup
 	@$(PY) -m tests.experiments.sensitivity
+
+# Tasks in containers of a real Docker Engine (root), whose programs it takes out of Debian's packages: docs/concepts/containers.md.
+# A short form runs in the suite.
+containers: setup
+	@.ci/need-docker
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite tests/containers -n 0
 
 # The page of edgectl serve in a real Chromium, which is installed where it is missing: docs/concepts/serve.md. Screenshots in runs/browser.
 browser: setup
@@ -142,4 +157,4 @@ evaluation: setup
 	@$(PY) -m tests.docs.evaluation
 
 clean:
-	rm -rf .site .venv .venv-ros2 .venv-cyclone .venv-engines .pytest_cache .mypy_cache .ruff_cache .hypothesis dist build
+	rm -rf .site .venv .venv-3.* .venv-lowest .venv-ros2 .venv-cyclone .venv-engines .pytest_cache .mypy_cache .ruff_cache .hypothesis dist build
