@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: docs versions image browser engines sensitivity latency handoffs ros ros-whole throughput quality demo experiment evaluation test test-fast check style setup audit bench faults fuzz soak clean
+.PHONY: docs versions image model browser engines sensitivity latency handoffs ros ros-whole throughput quality demo experiment evaluation test test-fast check style setup audit bench faults fuzz soak clean
 PY := .venv/bin/python
 export PYTHON
 
@@ -30,6 +30,7 @@ test: style
 	@.ci/need-promtool
 	@.ci/need-etcd
 	@.ci/need-shells
+	@.ci/need-tlc
 	@PATH="$$PATH:/usr/sbin:/sbin" .ci/with-types $(PY) -m tests.suite tests --ignore=tests/benchmarks --ignore=tests/ros --ignore=tests/engines --ignore=tests/browser -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 # Tests without real hosts: rules, files, documents, views, and simulated fleets.
@@ -126,6 +127,14 @@ soak: setup
 experiment: setup
 	@.ci/need-faults
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.experiments.lab --repetitions $(or $(REPETITIONS),3)
+
+# Every state of docs/model in several bounds, and traces of faults on real hosts against it: the tables of docs/model/README.md.
+# Some twenty minutes; a short form runs in the suite.
+model: setup
+	@.ci/need-tlc
+	@.ci/need-etcd
+	@.ci/need-faults
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.protocol --seed $(or $(SEED),1)
 
 # The documentation site in .site, strictly: a dead link or a page outside of the navigation fails.
 docs: setup

@@ -84,7 +84,9 @@ RESOURCES_BY_NAME: Mapping[str, Resource] = MappingProxyType(
 AFFINITY = "task"
 # The term of what the robot feels (ADR 120), weighed only on request.
 LATENCY = "latency"
-TERMS = (*RESOURCES_BY_NAME, AFFINITY, LATENCY)
+# The term that plugins give (ADR 149), weighed only on request.
+RATING = "rating"
+TERMS = (*RESOURCES_BY_NAME, AFFINITY, LATENCY, RATING)
 
 
 class ResourceMap(dict[str, Value]):

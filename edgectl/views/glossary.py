@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 
 from edgectl.dataclass import dataclass
-from edgectl.model.resource import AFFINITY, CPU, LATENCY, RESOURCES, TERMS, Resource
+from edgectl.model.resource import AFFINITY, CPU, LATENCY, RATING, RESOURCES, TERMS, Resource
 from edgectl.views.text import Cell, Row
 
 
@@ -526,7 +526,7 @@ HEADINGS = _list_amount_headings() | {
 
 
 # A budget that no host declares, or a latency that is not weighed, has no column, weight or limit there.
-_SPARE_TERMS = {resource.name for resource in RESOURCES if resource.declared_only} | {LATENCY}
+_SPARE_TERMS = {resource.name for resource in RESOURCES if resource.declared_only} | {LATENCY, RATING}
 
 
 def head(*columns: str) -> Row:
