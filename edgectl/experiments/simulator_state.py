@@ -96,7 +96,8 @@ class SimState:
     them; ``happened``: all that ever did. ``working``: jobs in progress; ``robot_work`` and ``robot_done``:
     work by robot, in s, of all its jobs and of those parts of them that are done. ``courses``: with events,
     by task with work, its speed over time from its entry or first job up to ``course_ends``. ``samples``:
-    what a probe of each host shows until the next change, but for noise; ``standing``: the plan that is made until then.
+    what a probe of each host shows until the next change, but for noise;
+    ``standing``: the plan that is made until then.
     """
 
     env: simpy.Environment

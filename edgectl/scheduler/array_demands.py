@@ -104,12 +104,11 @@ class MeasuredRows:
             np.divide(amounts, usable, out=shares[:, index], where=usable > 0)
             shares[:, -1] += self.weights[name] * shares[:, index]
         rates, relative = self._list_amounts(names, NETWORK.name)
-        shared_rates: list[bool] = relative.any(axis=1).tolist()
         return DemandBlock(
             start=start,
             shares=shares.reshape(len(names), -1),
             rates=rates,
-            shared=shared_rates,
+            shared=np.logical_or.reduce(relative, axis=1).tolist(),
             even=(rates == rates[:, :1]).all(axis=1).tolist(),
         )
 

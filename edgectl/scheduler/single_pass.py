@@ -133,6 +133,21 @@ def run_pass(how: PlacementPass, state: InitialState, prior_moves: Mapping[str, 
     )
 
 
+def repeats_at_a_glance(how: PlacementPass, state: InitialState, outcome: PassResult) -> bool:
+    """Whether bounds alone show that a repetition leaves every task where ``outcome`` has it (ADR 147): then
+    none is made. False says nothing.
+    """
+    places = {name: choice.place for name, choice in outcome.choices.items() if choice.place is not None}
+    if len(places) < len(outcome.choices):
+        return False
+    progress = _PassState(ledger=outcome.ledger, history=None, located={**state.located, **places}, open={})
+    return all(
+        _stays_at_a_glance(how, state, progress, task, places[task.name])
+        for task in how.order
+        if task.name in places
+    )
+
+
 def state_from_pass(state: InitialState, outcome: PassResult, initial: InitialState) -> InitialState:
     """The expected outcome as a state: each placed task runs where it was put and uses its d."""
     running = {
@@ -191,7 +206,7 @@ def _decide_task(
 ) -> None:
     """One task: its reservation leaves gamma, every place is weighed, and d is charged where it is put."""
     running = state.running.get(task.name)
-    if running is not None and _stays_at_a_glance(how, state, progress, task, running):
+    if running is not None and _stays_at_a_glance(how, state, progress, task, running.place):
         choice = _keep_at(running.place)
         progress.choices[task.name] = choice
         progress.uses[task.name] = running.place, running.use
@@ -278,7 +293,7 @@ def _record_plainly(
 
 
 def _stays_at_a_glance(
-    how: PlacementPass, state: InitialState, progress: _PassState, task: Task, running: RunningTask
+    how: PlacementPass, state: InitialState, progress: _PassState, task: Task, here: int
 ) -> bool:
     """Whether a pass that explains nothing may leave ``task`` where it is, without a look at every host."""
     if (how.record and how.explain) or not how.rules.settles or not progress.peaks.valid:
@@ -289,7 +304,7 @@ def _stays_at_a_glance(
         how.context,
         progress.ledger,
         task,
-        incumbent=running.place,
+        incumbent=here,
         predecessors=_find_predecessors(how, state, progress, task),
         placed=progress.placed,
     )

@@ -45,7 +45,7 @@ DIGESTS = {
     "patrol": {
         "local": "7e94115e5c5b",
         "static": "729b99113f62",
-        "utility all": "803f0f888ad1",
+        "utility all": "bb1a3726baf9",
         "paper all": "39354d9f93a1",
     },
 }

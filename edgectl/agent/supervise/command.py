@@ -29,6 +29,31 @@ class Command:
         self.folder, self.lock, self.log = folder, lock, log
         self.pid, self.ticks, self.pipe, self.started, self.code = 0, 0, -1, 0.0, 0
         self.adopted = False
+        # Of a container: the pipe of its runner, whether its start goes on, whether an orphan's is followed.
+        self.notes, self.waits, self.resumed = -1, False, False
+
+    def get_main(self) -> "tuple[int, int]":
+        """Get (pid, start ticks) of the task itself."""
+        return self.pid, self.ticks
+
+    def read_notes(self) -> "list[Document]":
+        """Read what a runner has to say."""
+        return []
+
+    def describe_end(self, code: int) -> Document:
+        """Describe the end of the main process by its wait status."""
+        return spawn.describe_exit(code)
+
+    def take_lock(self) -> None:
+        """Take the lock of the task where an orphan has had it.
+
+        Raises:
+            OSError: a process of an earlier run has it still.
+        """
+        if self.lock < 0:
+            self.lock = lockfile.take_lock(self.folder)
+            if self.lock < 0:
+                raise OSError("the lock of the task is held by a process that it left")
 
     def start(self, spec: Document, env: "dict[str, str]") -> None:
         """Start a run.
@@ -36,10 +61,7 @@ class Command:
         Raises:
             OSError: the directory or the program does not exist, or a process of an earlier run has the lock.
         """
-        if self.lock < 0:
-            self.lock = lockfile.take_lock(self.folder)
-            if self.lock < 0:
-                raise OSError("the lock of the task is held by a process that it left")
+        self.take_lock()
         self.adopted = False
         argv = shell.build_argv(
             spec["command"], spec.get("prelude") or "", (spec.get("ros") or {}).get("setup") or ()

@@ -52,12 +52,12 @@ class Supervisor:
         """
         self.folder, self.report, self.spec, self.identity = folder, report, spec, identity
         self.log = LogWriter(folder, int(spec["log"]["max_bytes"]), int(spec["log"]["files"]))
-        self.command = Command(folder, lock, self.log)
         self.env = shell.build_environment(spec.get("env"))
         self.env["EDGECTL_INSTANCE"] = identity["instance"]
         name, _, value = liveness.build_cookie(folder).partition("=")
         self.env[name] = value
         self.env["EDGECTL_METRICS"] = metrics.get_metrics_path(folder)
+        self.command = self._choose_command(lock)
         self.status: Document = {
             "instance": identity["instance"],
             "state": protocol.STARTING,
@@ -65,7 +65,7 @@ class Supervisor:
             "exit_code": None,
             "last_exit": None,
         }
-        self.status.update(detail="", limits=scope.describe_limits(spec.get("limits"), why))
+        self.status.update(detail="", limits=self._describe_limits(why))
         self.history: "list[float]" = []
         self.next_start: "float | None" = None
         self.stopping = False
@@ -81,12 +81,30 @@ class Supervisor:
         if orphan is not None:
             self._take_over(orphan)
 
+    def _choose_command(self, lock: int) -> Command:
+        """The command of the task, or its container, whose name its checks are given."""
+        if not self.spec.get("image"):
+            return Command(self.folder, lock, self.log)
+        from ..containers.command import ContainerCommand
+        from ..containers.create import NAME_VARIABLE, build_container_name
+
+        names = (self.identity[name] for name in ("fleet", "host", "task"))
+        self.env[NAME_VARIABLE] = build_container_name(*names)
+        return ContainerCommand(self.folder, lock, self.log, self.identity, self.spec)
+
+    def _describe_limits(self, why: str) -> str:
+        limits = self.spec.get("limits")
+        if not self.spec.get("image"):
+            return scope.describe_limits(limits, why)
+        # The engine refuses to start a container whose limits it cannot set.
+        return "enforced" if any((limits or {}).values()) else ""
+
     def run(self) -> None:
         """Run until the task has ended for good."""
         me = proc.read_own_process()
         identity = dict(self.identity, supervisor=me.pid, supervisor_ticks=me.ticks)
-        if self.command.adopted:
-            identity["adopted"] = True
+        if self.command.adopted or self.command.resumed:
+            identity.update({"adopted": True} if self.command.adopted else {})
             records.write_record(os.path.join(self.folder, "instance"), identity, durable=True)
             self._install_handlers()
             self.nodes.begin()
@@ -96,7 +114,9 @@ class Supervisor:
             records.write_record(os.path.join(self.folder, "instance"), identity, durable=True)
             self._install_handlers()
             self._start_command()
-        fast_json.send_document(self.report, {"pid": self.command.pid, "limits": self.status["limits"]})
+        fast_json.send_document(
+            self.report, {"pid": self.command.get_main()[0], "limits": self.status["limits"]}
+        )
         while self.command.pid or self.next_start is not None:
             self._run_once()
         self.nodes.end(remove=not self.stopping)
@@ -104,9 +124,9 @@ class Supervisor:
 
     def _take_over(self, status: Document) -> None:
         """Continue from the status of an orphan."""
-        self.status.update(status, detail=_ADOPTED)
         self.command.take_over(status)
-        self.checks.adopt(self.command.pid, self.command.ticks, status)
+        self.status.update(status, detail=_ADOPTED if self.command.adopted else "")
+        self.checks.adopt(*self.command.get_main(), status)
 
     def _install_handlers(self) -> None:
         for fd in (self.wake, self._wake_end):
@@ -137,22 +157,49 @@ class Supervisor:
     def _start_command(self) -> None:
         self.next_start = None
         self.command.start(self.spec, self.env)
+        if self.command.waits:
+            return self._record_status(state=protocol.STARTING, pid=0, detail="")
+        return self._begin_run()
+
+    def _begin_run(self) -> None:
+        """Begin the checks of what was just started, and record it."""
         self.nodes.begin()
-        pid, ticks = self.command.pid, self.command.ticks
+        pid, ticks = self.command.get_main()
         self._record_status(pid=pid, ticks=ticks, exit_code=None, detail="", **self.checks.begin(pid, ticks))
 
-    def _run_once(self) -> None:
-        """Wait for the next event and handle it."""
+    def _hear_runner(self) -> None:
+        """Record what the runner of a container has to say."""
+        for note in self.command.read_notes():
+            if note["event"] == "started" and not self.status["pid"]:
+                self._begin_run()
+            elif note["event"] in ("lost", "back"):
+                from ..containers.command import describe_loss
+
+                detail = describe_loss(note) if note["event"] == "lost" else ""
+                said = detail or "the container engine answers again"
+                self.log.write(("edgectl: %s\n" % said).encode())
+                self._record_status(detail=detail)
+
+    def _await_event(self) -> None:
+        """Wait for output, a signal or the time of a check; take in what there is to read."""
         poll = select.poll()
         poll.register(self.wake, select.POLLIN)
         if self.command.pipe >= 0:
             poll.register(self.command.pipe, select.POLLIN)
+        if self.command.notes >= 0:
+            poll.register(self.command.notes, select.POLLIN)
         for fd, _ in poll.poll(self._compute_poll_ms()):
             if fd == self.command.pipe:
                 self.command.copy_output()
+            elif fd != self.wake:
+                self._hear_runner()
             else:
                 _drain_fd(fd)
                 self.checks.activation.look()
+
+    def _run_once(self) -> None:
+        """Wait for the next event and handle it."""
+        self._await_event()
         # Before the children are reaped: the process of a check that has ended stands in their way.
         self._ask_checks()
         if self._is_watched():
@@ -244,7 +291,7 @@ class Supervisor:
         ran_s, self.command.pid = time.monotonic() - self.command.started, 0
         self.checks.cancel()
         left = self._end_tree(_LEFTOVERS)
-        outcome = spawn.describe_exit(code)
+        outcome = self.command.describe_end(code)
         self.status["last_exit"] = outcome["exit_code"]
         stopped = self.stopping or (not left and self._is_leaving())
         final = restart_policy.decide_end(self.spec, outcome, left, stopped)
