@@ -114,7 +114,7 @@ def sum_cpu_ms(
     events: list[dict[str, Any]], thread: tuple[int, int], begin_us: float, end_us: float
 ) -> float:
     """CPU time of a thread between two instants of the trace: of its tasks, which do not overlap."""
-    return (
+    return float(
         sum(
             event.get("tdur", 0)
             for event in events
@@ -173,7 +173,7 @@ def test_a_large_fleet_is_painted_and_updated_in_time(browser: Browser) -> None:
 
 def a_small_document() -> Document:
     """The same of twenty hosts, for what looks at each element."""
-    item = dict(a_large_document(0)["item"])
+    item: Any = a_large_document(0)["item"]
     return {
         **a_large_document(0),
         "item": {**item, "tasks": item["tasks"][:30], "hosts": item["hosts"][:20], "links": item["links"][:45], "moves": item["moves"][:3]},
