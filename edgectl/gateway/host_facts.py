@@ -20,6 +20,7 @@ from edgectl.gateway.replies import (
 )
 from edgectl.model.diagnosis import (
     Disk,
+    HardwareFacts,
     HostFacts,
     LinkFacts,
     Logind,
@@ -71,6 +72,7 @@ def decode_host_facts(document: ReplyDocument, context: ReplyContext, asked: Sen
         used_bytes=reply.memory.used_bytes,
         surroundings=ShellEnvironment(**_to_fields(reply.surroundings)),
         ros=RosFacts(**_to_fields(reply.ros)),
+        hardware=HardwareFacts(**_to_fields(reply.hardware)),
         links={
             robot: _build_link_facts(robot, address, reply.links.get(robot, RouteReply()), context)
             for robot, address in asked.addresses.items()

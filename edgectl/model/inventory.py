@@ -76,7 +76,7 @@ class Host:
     candidate for its own tasks; ``probe: false`` means that it is never contacted. ``password_command`` is an
     argument vector whose first line of output is the password; ``env_command`` one that prints secrets for
     the environment as lines NAME=value. ``transport`` names a plugin that connects, instead of
-    ``connection``.
+    ``connection``. ``max_temperature`` (degrees Celsius): near it the host has fewer usable cores.
     """
 
     name: str
@@ -90,6 +90,7 @@ class Host:
     password_command: tuple[str, ...] = ()
     labels: Mapping[str, str] = field(default_factory=dict)
     limits: Limits = Limits()
+    max_temperature: float | None = None
     capacity: Capacity | None = None
     base: BaseLoad = BaseLoad()
     env: Mapping[str, str] = field(default_factory=dict)

@@ -17,7 +17,7 @@ _OPEN_LOOP_NOTE = (
     "edgectl simulate closes the loop in a model."
 )
 
-_HEAD = ("SCHEME", "HANDOFFS", "PER CYCLE", "UNPLACED", *(each.name.upper() for each in RESOURCES))
+_HEAD = ("SCHEME", "HANDOFFS", "PER CYCLE", "UNPLACED", *(each.title for each in RESOURCES))
 
 
 @dataclass(frozen=True, kw_only=True)
