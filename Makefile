@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: docs image browser engines sensitivity latency handoffs ros ros-whole throughput quality demo experiment evaluation test test-fast check style setup audit bench faults fuzz soak clean
+.PHONY: docs image browser engines containers sensitivity latency handoffs ros ros-whole throughput quality demo experiment evaluation test test-fast check style setup audit bench faults fuzz soak clean
 PY := .venv/bin/python
 export PYTHON
 
@@ -29,8 +29,9 @@ test: style
 	@.ci/need-faults
 	@.ci/need-promtool
 	@.ci/need-etcd
+	@.ci/need-docker
 	@.ci/need-shells
-	@PATH="$$PATH:/usr/sbin:/sbin" .ci/with-types $(PY) -m tests.suite tests --ignore=tests/benchmarks --ignore=tests/ros --ignore=tests/engines --ignore=tests/browser -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+	@PATH="$$PATH:/usr/sbin:/sbin" .ci/with-types $(PY) -m tests.suite tests --ignore=tests/benchmarks --ignore=tests/ros --ignore=tests/engines --ignore=tests/browser --ignore=tests/containers/test_lifecycle.py --ignore=tests/containers/test_losses.py -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 # Tests without real hosts: rules, files, documents, views, and simulated fleets.
 PURE := config doctor experiments executor export formats fuzz gateway importers model rules scheduler simulation state tui usecases views web test_rooms.py
@@ -87,6 +88,12 @@ engines: setup
 # The table and the figure of docs/evaluation/sensitivity.md, from its committed results; worlds that are missing are simulated.
 sensitivity: setup
 	@$(PY) -m tests.experiments.sensitivity
+
+# Tasks in containers of a real Docker Engine (root), whose programs it takes out of Debian's packages: docs/concepts/containers.md.
+# A short form runs in the suite.
+containers: setup
+	@.ci/need-docker
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite tests/containers -n 0
 
 # The page of edgectl serve in a real Chromium, which is installed where it is missing: docs/concepts/serve.md. Screenshots in runs/browser.
 browser: setup

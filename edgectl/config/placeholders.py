@@ -17,7 +17,7 @@ from edgectl.model.task import DetectRule
 # Keys of a task whose values may contain placeholders.
 PLACEHOLDER_KEYS = (
     *("command", "env", "workdir", "ready", "alive", "done_when"),
-    *("handoff", "detect", "latency", "heard", "standby", "state"),
+    *("handoff", "detect", "latency", "heard", "standby", "state", "image"),
 )
 _PLACEHOLDER = re.compile(r"(?<!\$)\{(robot|robot_host)\}")
 
@@ -28,6 +28,8 @@ def has_placeholder(value: object) -> bool:
         return has_placeholder(value.reveal())
     if isinstance(value, str):
         return _PLACEHOLDER.search(value) is not None
+    if isinstance(value, tuple):
+        return any(has_placeholder(inner) for inner in value)
     if isinstance(value, Mapping):
         return any(has_placeholder(inner) for inner in value.values())
     if is_dataclass(value):
@@ -50,6 +52,8 @@ def _fill_value(value: Any, names: Mapping[str, str]) -> Any:  # noqa: ANN401
         return Secret(_fill_value(value.reveal(), names))
     if isinstance(value, str) and not isinstance(value, StrEnum):
         return _PLACEHOLDER.sub(lambda match: names[match[1]], value)
+    if isinstance(value, tuple):
+        return tuple(_fill_value(inner, names) for inner in value)
     if isinstance(value, Mapping) and not isinstance(value, ResourceMap):
         return {key: _fill_value(inner, names) for key, inner in value.items()}
     if isinstance(value, DetectRule):

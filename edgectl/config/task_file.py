@@ -17,6 +17,7 @@ from edgectl.config.fields import (
     read_labels,
     record_reader,
 )
+from edgectl.config.image_readers import read_image
 from edgectl.config.job_readers import read_job, read_service_time
 from edgectl.config.latency_readers import read_deadline, read_heard, read_latency
 from edgectl.config.node import Node
@@ -74,6 +75,7 @@ from edgectl.units import parse_duration
 
 TASK_KEYS: Mapping[str, NodeReader] = {
     "command": read_command,
+    "image": read_image,
     "for_each": read_for_each,
     "robot": read_name,
     "robots": read_robots,
@@ -138,8 +140,11 @@ def build_tasks_schema() -> Schema:
     exclusive = [{"not": {"required": [one, other]}} for one, other in EXCLUSIVE_KEYS]
     unmanaged = {
         "if": {"properties": {"managed": {"const": False}}, "required": ["managed"]},
-        "then": {"required": ["detect"], "properties": {"command": False}},
-        "else": {"required": ["command"], "properties": {"detect": False}},
+        "then": {"required": ["detect"], "properties": {"command": False, "image": False}},
+        "else": {
+            "anyOf": [{"required": ["command"]}, {"required": ["image"]}],
+            "properties": {"detect": False},
+        },
     }
     task = build_object_schema(TASK_KEYS) | {"allOf": [*exclusive, unmanaged]}
     tasks = build_mapping_schema(NAME_PATTERN.pattern, task)

@@ -43,8 +43,8 @@ def _check_exclusive_keys(fields: Fields, problems: Problems) -> None:
 
 def _check_managed(template: TaskTemplate, problems: Problems) -> None:
     fields = template.fields
-    if "command" not in fields and isinstance(fields.node.value, dict):
-        hint = "add command: .., or managed: false with detect:"
+    if "command" not in fields and "image" not in fields and isinstance(fields.node.value, dict):
+        hint = "add command: .., image: .., or managed: false with detect:"
         problems.add(template.named_at, ProblemCode.MISSING, f"task {template.name} needs command", hint)
     if "detect" in fields:
         message = "detect finds tasks that edgectl does not start, and this one it does"
@@ -140,14 +140,11 @@ def _check_self_fence(fields: Fields, problems: Problems) -> None:
 
 def _check_unmanaged(template: TaskTemplate, problems: Problems) -> None:
     fields = template.fields
-    if "command" in fields:
-        message = "a task with managed: false is never started, so it has no command"
-        problems.add(
-            fields.node.key_mark("command"),
-            ProblemCode.CONTRADICTION,
-            message,
-            "remove command, or remove managed: false",
-        )
+    for key in ("command", "image"):
+        if key in fields:
+            message = f"a task with managed: false is never started, so it has no {key}"
+            mark = fields.node.key_mark(key)
+            problems.add(mark, ProblemCode.CONTRADICTION, message, f"remove {key}, or remove managed: false")
     if "alive" in fields:
         problems.add(
             fields.node.key_mark("alive"),

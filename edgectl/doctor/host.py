@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks of one host that answered."""
 
+from edgectl.doctor.containers import diagnose_engines
 from edgectl.doctor.disk import diagnose_disk
 from edgectl.doctor.hardware import diagnose_hardware
 from edgectl.doctor.ssh_command import format_ssh_command
@@ -26,6 +27,7 @@ def diagnose_host(host: Host, facts: HostFacts, inventory: Inventory) -> list[Fi
         _diagnose_memory(host, facts),
         *diagnose_hardware(host, facts.hardware),
         _diagnose_prelude(host, facts.surroundings),
+        *diagnose_engines(host.name, facts.logind.user, facts.engines),
         *(_diagnose_robot_link(host, inventory.hosts[robot], link) for robot, link in facts.links.items()),
         *_diagnose_link_capacity(host, facts, inventory),
     ]

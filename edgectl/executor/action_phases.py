@@ -30,6 +30,8 @@ _UNKNOWN_GRACE_S = 40.0
 _LEAVING_MARGIN_S = 90.0
 # Looks at a ROS 1 master before and after a stop.
 _GRAPH_S = 10.0
+# A container that is created and started on a busy host, and what its end takes beside the grace.
+_CONTAINER_START_S, _CONTAINER_STOP_S = 120.0, 40.0
 # The lease of a killed node of ROS 2 ends 20 s after the helper of the host has heard it last, and on a busy
 # host that hears late. Nobody waits for longer than names are there.
 _LEASE_S = 45.0
@@ -94,7 +96,7 @@ def build_adopt_phases(step: Step, inventory: Inventory, tasks: Tasks) -> Planne
         return ()
     host = get_host(inventory, step.decision.host or "")
     body = host_requests.build_takeover_request(task, host, inventory.hosts)
-    request = PlannedRequest(host=host, body=body)
+    request = PlannedRequest(host=host, body=body, timeout_s=get_start_time(task))
     return (PlannedPhase(phase=Phase.ADOPT, task=task.name, requests=(request,)),)
 
 
@@ -141,6 +143,7 @@ def build_stop_phase(
     body = host_requests.build_stop_request(name, host, task=task, instance=instance, lease_s=lease_s)
     grace = task.stop.grace if task else _UNKNOWN_GRACE_S
     timeout_s = grace + lease_s + (_GRAPH_S if host.ros is not None else 0.0)
+    timeout_s += _CONTAINER_STOP_S if task is not None and task.image is not None else 0.0
     return PlannedPhase(
         phase=Phase.STOP, task=name, requests=(PlannedRequest(host=host, body=body, timeout_s=timeout_s),)
     )
@@ -159,7 +162,8 @@ def build_run_phases(
     """
     host = get_host(inventory, host_name)
     body = host_requests.build_start_request(task, host, inventory.hosts, replaces=replaces)
-    start = PlannedPhase(phase=phase, task=task.name, requests=(PlannedRequest(host=host, body=body),))
+    request = PlannedRequest(host=host, body=body, timeout_s=get_start_time(task))
+    start = PlannedPhase(phase=phase, task=task.name, requests=(request,))
     return start, build_ready_phase(task, host, inventory)
 
 
@@ -174,6 +178,11 @@ def build_ready_phase(task: Task, host: Host, inventory: Inventory) -> PlannedPh
         mark = host_requests.build_mark_ready_request(task.name, host, instance=host_requests.NO_INSTANCE)
         requests.append(PlannedRequest(host=host, body=mark))
     return PlannedPhase(phase=Phase.READY, task=task.name, requests=tuple(requests), timeout_s=timeout)
+
+
+def get_start_time(task: Task) -> float:
+    """How long (s) a host may take to start the task, besides the time of a round trip."""
+    return _CONTAINER_START_S if task.image is not None else 0.0
 
 
 def get_up_time(task: Task) -> float:

@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping
 
 from edgectl.agent.link import protocol
 from edgectl.model.check import AliveRule, Check, CheckLocation, OnUnhealthy
+from edgectl.model.image import ContainerImage
 from edgectl.model.inventory import Host
 from edgectl.model.latency import HeardRule
 from edgectl.model.standby import Activation
@@ -61,7 +62,8 @@ def _encode_spec(task: Task, host: Host, hosts: Hosts) -> Request:
         "command": task.command,
         "prelude": host.prelude,
         "env": merge_environment(task, host, hosts),
-        "workdir": task.workdir,
+        "workdir": task.host_workdir,
+        "image": None if task.image is None else _encode_image(task, task.image),
         "kind": task.kind.value,
         "restart": task.restart.value,
         "stop": encode_stop_rule(task.stop),
@@ -78,6 +80,23 @@ def _encode_spec(task: Task, host: Host, hosts: Hosts) -> Request:
         "file": task.file,
         "needed": "",
         "replaces": None,
+    }
+
+
+def _encode_image(task: Task, image: ContainerImage) -> Request:
+    """The container of a task; its variables are among those of the task."""
+    return {
+        "name": image.name,
+        "engine": None if image.engine is None else image.engine.value,
+        "gpus": image.gpus,
+        "devices": list(image.devices),
+        "volumes": list(image.volumes),
+        "user": image.user,
+        "network": image.network,
+        "ipc": image.ipc,
+        "pull": image.pull.value,
+        "args": list(image.args),
+        "workdir": task.workdir,
     }
 
 
@@ -143,6 +162,19 @@ def _encode_alive(rule: AliveRule, host: Host) -> Request:
         **_encode_check(rule.check, host),
         "after_s": rule.after,
         "restart": rule.on_unhealthy is OnUnhealthy.RESTART,
+    }
+
+
+def build_pull_request(task: Task, image: ContainerImage, host: Host, *, timeout_s: float) -> Request:
+    """Have the image of ``task`` on ``host``; the instance, for which it is pulled once, is a placeholder."""
+    return {
+        "op": protocol.OP_PULL,
+        "fleet": host.fleet,
+        "host": host.name,
+        "task": task.name,
+        "instance": NO_INSTANCE,
+        "image": _encode_image(task, image),
+        "timeout_s": timeout_s,
     }
 
 

@@ -17,6 +17,7 @@ from edgectl.executor.action_phases import (
 )
 from edgectl.executor.concurrent_change import check_gone_everywhere
 from edgectl.executor.host_requests import Request
+from edgectl.executor.image_phases import pull_image
 from edgectl.executor.secrets import resolve_environment
 from edgectl.executor.state_transfer import perform_state_phase
 from edgectl.executor.step_run import RunContext, StepRun
@@ -60,6 +61,8 @@ def perform_phase(act: StepRun, planned: PlannedPhase, variables: Mapping[str, s
             _send(act.run, planned.requests[0])
         case Phase.NEEDS:
             _perform_need(act, planned)
+        case Phase.PULL:
+            pull_image(act, planned)
         case Phase.SAFE:
             _wait_until_safe(act, planned)
         case Phase.HOLD | Phase.RELEASE:
@@ -167,7 +170,7 @@ def _send_start(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str
         variables=variables,
         needed=join_marks(act.task, act.needed) if act.task is not None else "",
     )
-    answer = act.run.ask(host, body)
+    answer = act.run.ask(host, body, timeout=request.timeout_s + act.run.options.call_s)
     if answer.get("state") not in (protocol.STARTED, protocol.ALREADY_RUNNING):
         why = clean_text(answer.get("detail"), _MAX_DETAIL) or "no reason was given"
         raise HostError(f"{act.name} did not start on {host.name}: {why}", host=host.name)

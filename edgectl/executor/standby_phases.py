@@ -12,7 +12,9 @@ from edgectl.executor.action_phases import (
     build_wait,
     get_copy_up_time,
     get_host,
+    get_start_time,
 )
+from edgectl.executor.image_phases import build_pull_phases
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.result import Phase
@@ -95,7 +97,7 @@ def build_standby_phase(task: Task, host_name: str, inventory: Inventory) -> Pla
     return PlannedPhase(
         phase=Phase.STANDBY,
         task=task.name,
-        requests=(PlannedRequest(host=host, body=body), wait),
+        requests=(PlannedRequest(host=host, body=body, timeout_s=get_start_time(task)), wait),
         timeout_s=timeout_s,
     )
 
@@ -118,9 +120,12 @@ def build_copy_phases(step: Step, copy: StandbyStep, inventory: Inventory, tasks
     """
     task, host = tasks.tasks.get(step.task), copy.host or ""
     phases: PlannedPhases = ()
+    starts = copy.action in (StandbyAction.START, StandbyAction.RESTART)
+    if starts and task is not None:
+        phases += build_pull_phases(task, host, inventory)
     if copy.action in (StandbyAction.STOP, StandbyAction.RESTART):
         phases += (build_stop_phase(step.task, task, host, inventory, instance=copy.instance or None),)
-    if copy.action in (StandbyAction.START, StandbyAction.RESTART) and task is not None:
+    if starts and task is not None:
         phases += (build_standby_phase(task, host, inventory),)
     return phases
 

@@ -18,6 +18,7 @@ from edgectl.executor.action_phases import (
     get_host,
 )
 from edgectl.executor.dependencies import find_replacement_hold, is_replacement
+from edgectl.executor.image_phases import build_pull_phases
 from edgectl.executor.standby_phases import (
     build_copy_stop_phases,
     build_standby_phase,
@@ -87,7 +88,10 @@ def build_start_phases(
     copy = find_usable_standby(plan, task, new)
     # A copy of another spec makes way: a host has one instance of a task.
     unusable = () if copy is not None else build_copy_stop_phases(task.name, task, new, plan, inventory)
-    prepare = (build_reach_phase(task.name, new, inventory),)
+    prepare = (
+        build_reach_phase(task.name, new, inventory),
+        *(build_pull_phases(task, new, inventory) if copy is None else ()),
+    )
     start_first = _is_start_first(step, task)
     replaces = _list_node_addresses(plan, old or "", task.name) if start_first else None
     start = _build_appear_phases(task, new, copy, inventory, replaces=replaces)
@@ -212,4 +216,5 @@ def _build_warm_move_phases(
 def _build_copy_phases(task: Task, host: str, plan: Plan, inventory: Inventory) -> PlannedPhases:
     """Have a new copy on the host; one of another spec makes way."""
     stop = build_copy_stop_phases(task.name, task, host, plan, inventory)
-    return (*stop, build_standby_phase(task, host, inventory))
+    pull = build_pull_phases(task, host, inventory)
+    return (*pull, *stop, build_standby_phase(task, host, inventory))

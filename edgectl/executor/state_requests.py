@@ -85,6 +85,6 @@ def _build_command(op: str, task: Task, state: StateRule, rule: Check, host: Hos
         "prelude": host.prelude,
         "ros": encode_ros(task, host, hosts),
         "env": drop_secrets(merge_environment(task, host, hosts)),
-        "workdir": task.workdir,
+        "workdir": task.host_workdir,
         "timeout_s": rule.timeout,
     }

@@ -15,7 +15,7 @@ from edgectl.model.resource import RESOURCES_BY_NAME, ResourceMap
 from edgectl.model.task import Task, Tasks
 
 RUN_FIELDS = ("command", "env", "workdir", "kind", "restart", "stop", "ready", "limits", "log", "robots")
-OPTIONAL_RUN_FIELDS = ("self_fence", "env_command", "alive", "activation")
+OPTIONAL_RUN_FIELDS = ("self_fence", "env_command", "alive", "activation", "image")
 
 
 def digest_inventory(inventory: Inventory) -> str:

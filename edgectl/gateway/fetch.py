@@ -30,7 +30,7 @@ def fetch_file(transport: Transport, host: Host, task: Task, file: str, *, timeo
         "fleet": host.fleet,
         "host": host.name,
         "task": task.name,
-        "workdir": task.workdir,
+        "workdir": task.host_workdir,
         "file": file,
         "most": MAX_FILE_BYTES,
     }

@@ -20,6 +20,7 @@ from edgectl.gateway.replies import (
 )
 from edgectl.model.diagnosis import (
     Disk,
+    EngineFacts,
     HardwareFacts,
     HostFacts,
     LinkFacts,
@@ -77,6 +78,9 @@ def decode_host_facts(document: ReplyDocument, context: ReplyContext, asked: Sen
             robot: _build_link_facts(robot, address, reply.links.get(robot, RouteReply()), context)
             for robot, address in asked.addresses.items()
         },
+        engines=None
+        if reply.engines is None
+        else {name: EngineFacts(**_to_fields(each)) for name, each in reply.engines.items()},
     )
 
 
@@ -107,12 +111,13 @@ class HostFactsOptions:
     """``timeout`` (s): from the first packet to the last byte, per host.
 
     ``measured``: link capacities in bytes/s by (edge, robot). ``packages``: of ROS, those that each host
-    needs.
+    needs. ``engines``: whether container engines are asked for.
     """
 
     timeout: float = 15.0
     measured: Mapping[tuple[str, str], float] = field(default_factory=dict)
     packages: Mapping[str, Iterable[str]] = field(default_factory=dict)
+    engines: bool = False
 
 
 def collect_host_facts(
@@ -130,7 +135,8 @@ def collect_host_facts(
         return addresses if host.role is Role.EDGE else {}
 
     def build(host: Host, left: float) -> dict[str, object]:
-        return _build_doctor_request(host, links_of(host), options.packages.get(host.name, ()), left)
+        packages = options.packages.get(host.name, ())
+        return _build_doctor_request(host, links_of(host), packages, left, engines=options.engines)
 
     def decode(reply: HostReply) -> HostFacts:
         answered_at = clock()
@@ -164,7 +170,7 @@ def _build_facts_context(
 
 
 def _build_doctor_request(
-    host: Host, links: Mapping[str, str], packages: Iterable[str], timeout: float
+    host: Host, links: Mapping[str, str], packages: Iterable[str], timeout: float, *, engines: bool
 ) -> dict[str, object]:
     return {
         "op": protocol.OP_DOCTOR,
@@ -174,6 +180,7 @@ def _build_doctor_request(
         "prelude": host.prelude,
         "ros": encode_host_ros(host, links.values()),
         "packages": list(packages),
+        "engines": engines,
         "env": drop_secrets(merge_host_environment(host)),
         "timeout_s": max(1.0, timeout - _OVERHEAD_S),
     }

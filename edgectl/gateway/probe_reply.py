@@ -98,6 +98,7 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
         resident=reply.resident,
         usage=_decode_usages(document, context.host, tasks),
         counters=reply.counters,
+        engines=reply.engines,
         links=_build_links(reply, context, tasks) if context.host.role is Role.EDGE else {},
         tasks=active,
         standbys=standbys,

@@ -53,6 +53,7 @@ def build_probe_request(
         "former": sorted(former),
         "manager": manager_id,
         **({"totals": True} if totals else {}),
+        **({"engines": True} if any(task.image for task in tasks.tasks.values()) else {}),
     }
 
 

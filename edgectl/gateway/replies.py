@@ -153,6 +153,8 @@ class TaskReply:
     role: Text = ""
     switching: bool = False
     deactivated: Generation = 0
+    engine: Text = ""
+    container: Text = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -205,6 +207,7 @@ class ProbeReply:
     unowned: Annotated[tuple[Text, ...], ALONE] = ()
     former: Annotated[tuple[Text, ...], ALONE] = ()
     totals: TotalsReply | None = None
+    engines: Annotated[tuple[Text, ...] | None, ALONE] = None
 
 
 # Usage of a task and of a profiler, capacity and usage of each resource of a device, under the keys of the
@@ -314,6 +317,14 @@ class RouteReply:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class EngineReply:
+    """A container engine of a host."""
+
+    version: Text = ""
+    error: Text = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DoctorReply:
     """Reply to a diagnosis."""
 
@@ -327,6 +338,7 @@ class DoctorReply:
     ros: RosReply = RosReply()
     hardware: HardwareReply = HardwareReply()
     links: Annotated[Mapping[Text, RouteReply], ALONE] = field(default_factory=dict)
+    engines: Annotated[Mapping[Text, EngineReply], ALONE] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -136,6 +136,7 @@ def _decode_task(name: str, entry: object, answered_at: float) -> TaskSample:
         partial=reply.partial,
         switching=reply.switching,
         deactivated=reply.deactivated,
+        container=reply.container,
     )
 
 

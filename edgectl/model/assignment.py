@@ -29,6 +29,7 @@ class RejectionRule(StrEnum):
     LABELS = "labels"
     PIN = "pinned-elsewhere"
     ONBOARD = "onboard"
+    NO_ENGINE = "no-container-engine"
     NO_LINK = "no-link"
     NO_CAPACITY = "no-capacity"
     INSUFFICIENT = "insufficient"

@@ -137,11 +137,20 @@ class HardwareFacts:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class EngineFacts:
+    """A container engine of a host: its version, or the ``error`` for which it runs nothing."""
+
+    version: str = ""
+    error: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HostFacts:
     """Facts of one host that answered.
 
     ``login_s``: from the first packet to the agent's first step, and back. ``skew_s``: the least and the most
-    by which its clock may be ahead of ours (below 0: behind).
+    by which its clock may be ahead of ours (below 0: behind). ``engines``: its container engines by name,
+    where a task has an image; else None.
     """
 
     login_s: float
@@ -156,6 +165,7 @@ class HostFacts:
     ros: RosFacts = RosFacts()
     hardware: HardwareFacts = HardwareFacts()
     links: Mapping[str, LinkFacts] = field(default_factory=dict)
+    engines: Mapping[str, EngineFacts] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

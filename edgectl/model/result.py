@@ -23,11 +23,12 @@ class Phase(StrEnum):
 
     ``reach`` (the host answers) and ``needs`` (predecessors are far enough) change nothing and are not in
     results. ``heard``: the robot hears the old instance, and later the new one. ``standby``: an inactive
-    copy is started and can be activated.
+    copy is started and can be activated. ``pull``: the new host has the image of the task.
     """
 
     REACH = "reach"
     NEEDS = "needs"
+    PULL = "pull"
     SAFE = "safe"
     HOLD = "hold"
     STANDBY = "standby"

@@ -125,6 +125,7 @@ class TaskSample:
     ``orphaned``: it lives without a supervisor; ``adoptable``: a new one can take it over as it is (ADR
     0041). ``switching``: it is just becoming active or inactive. ``deactivated``: of a copy, the generation
     with which its process was made inactive, so that it has what the task knew then; 0: it never was active.
+    ``container``: the name of its container; empty for a command of the host.
     """
 
     state: TaskState
@@ -157,6 +158,7 @@ class TaskSample:
     latency: LatencySample | None = None
     switching: bool = False
     deactivated: Generation = 0
+    container: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -239,6 +241,7 @@ class HostSample:
     one that took the snapshot. ``foreign_hosts``: hosts that the inventory lacks and on which other managers
     of the fleet may place tasks. ``counters``: "" where none are
     installed for this fleet, "installed", or why they cannot be read. ``totals``: where they were asked for.
+    ``engines``: container engines that its user may use; None: no task has an image, so it was not asked.
     """
 
     role: Role
@@ -268,6 +271,7 @@ class HostSample:
     foreign_hosts: tuple[str, ...] = ()
     counters: str = ""
     totals: UsageTotals | None = None
+    engines: tuple[str, ...] | None = None
 
     @property
     def ok(self) -> bool:

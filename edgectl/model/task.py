@@ -10,6 +10,7 @@ from enum import StrEnum
 from edgectl.dataclass import dataclass
 from edgectl.model.check import AliveRule, Check
 from edgectl.model.demand import Demand
+from edgectl.model.image import ContainerImage
 from edgectl.model.latency import HeardRule, LatencyRule
 from edgectl.model.policy import Policy
 from edgectl.model.predicted_latency import JobSize, ServiceTime
@@ -178,6 +179,7 @@ class Task:
     ``alive``: asked while the task runs, and for readiness too where ``ready`` is not stated.
     ``service_time`` of a job by class of hosts, "" for every class; ``job``: the bytes of one.
     ``latency``: where its latency is measured; ``heard``: how its robot notices it.
+    ``image``: the container that it runs in; ``command`` may be empty then, and the image's own is run.
     ``standby``: other hosts keep an inactive copy of it; ``state``: what a move takes along.
     ``file``: the task file that lists it (ADR 0039); it is no part of any digest.
     """
@@ -216,6 +218,7 @@ class Task:
     handoff: HandoffContract = HandoffContract()
     standby: StandbyRule | None = None
     state: StateRule | None = None
+    image: ContainerImage | None = None
     env: Mapping[str, str] = field(default_factory=dict)
     workdir: str | None = None
     limits: TaskLimits = TaskLimits()
@@ -228,6 +231,11 @@ class Task:
     env_command: tuple[str, ...] = ()
     spec_fields: Mapping[str, str] = field(default_factory=dict)
     file: str = ""
+
+    @property
+    def host_workdir(self) -> str | None:
+        """Directory of its commands on a host: ``workdir`` is one in the container where it has an image."""
+        return self.workdir if self.image is None else None
 
     @property
     def activation(self) -> Activation | None:

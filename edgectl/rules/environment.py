@@ -24,15 +24,17 @@ def merge_environment(
 
     Secrets are masked. EDGECTL_ROBOT and EDGECTL_ROBOT_HOST name the first robot and its address;
     EDGECTL_ROBOTS and EDGECTL_ROBOT_HOSTS all of them and their addresses, separated by spaces, in the same
-    order. ``host_more`` and ``task_more`` are what the two ``env_command`` printed. What follows from ``ros``
-    of the host comes first of all; its address is left out where a name or an address is stated.
+    order. ``host_more`` and ``task_more`` are what the two ``env_command`` printed. What its image states
+    comes last. What follows from ``ros`` of the host comes first of all; its address is left out where a name
+    or an address is stated.
     """
     own = {"EDGECTL_TASK": task.name, "EDGECTL_HOST": host.name, "EDGECTL_ROBOTS": " ".join(task.robots)}
     if task.robots:
         own["EDGECTL_ROBOT_HOSTS"] = " ".join(hosts[robot].host for robot in task.robots if robot in hosts)
         own["EDGECTL_ROBOT"] = task.robots[0]
         own["EDGECTL_ROBOT_HOST"] = hosts[task.robots[0]].host if task.robots[0] in hosts else ""
-    return _add_derived(host, {**host.env, **host_more, **own, **task.env, **task_more})
+    image = task.image.env if task.image is not None else NO_VARIABLES
+    return _add_derived(host, {**host.env, **host_more, **own, **task.env, **task_more, **image})
 
 
 def merge_host_environment(host: Host) -> dict[str, str]:

@@ -12,7 +12,12 @@ from edgectl.model.predicted_latency import PredictedLatency
 from edgectl.model.resource import AFFINITY, LATENCY, RESOURCES, Resource
 from edgectl.model.task import OnboardRule, Task
 from edgectl.scheduler.capacities import Capacities
-from edgectl.scheduler.feasibility import compute_resource_terms, find_own_robot, find_rule_against
+from edgectl.scheduler.feasibility import (
+    compute_resource_terms,
+    find_missing_engine,
+    find_own_robot,
+    find_rule_against,
+)
 from edgectl.scheduler.latency import (
     NO_LATENCY_TERM,
     is_latency_weighed,
@@ -43,7 +48,7 @@ Totals: TypeAlias = "ListTotals | ArrayTotals"
 ReferenceTerms: TypeAlias = tuple[UtilityTerms, float | None, tuple[Rejection, ...]]
 
 # These close a host to new work only: what runs there may stay.
-NEW_WORK_ONLY = (RejectionRule.CORDONED, RejectionRule.STALE)
+NEW_WORK_ONLY = (RejectionRule.CORDONED, RejectionRule.STALE, RejectionRule.NO_ENGINE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,13 +88,15 @@ def reject_by_rules(fleet: Capacities, task: Task, place: int) -> Rejection | No
     """A robot takes its own tasks where the files allow it."""
     own = place == find_own_robot(fleet, task)
     rule = find_rule_against(fleet.places[place], task, robot=True) if own else RejectionRule.ONBOARD
+    rule = rule or find_missing_engine(fleet.samples[place], task)
     return Rejection(rule=rule) if rule else fleet.closed.get(place)
 
 
 def reject_other_robots(fleet: Capacities, task: Task, place: int) -> Rejection | None:
     """The first robot takes the task if it can be reached."""
     if fleet.places[place].name in task.robots[:1]:
-        return fleet.closed.get(place)
+        rule = find_missing_engine(fleet.samples[place], task)
+        return Rejection(rule=rule) if rule else fleet.closed.get(place)
     return Rejection(rule=RejectionRule.ONBOARD)
 
 
@@ -314,7 +321,8 @@ def _get_edge_rejections(context: AssignmentContext, task: Task) -> dict[int, Re
     rules = task.hosts
     only = task.onboard is OnboardRule.ONLY or not context.rules.edges
     labels = tuple(sorted(rules.labels.items())) if rules.labels else ()
-    key = (rules.only, rules.never, labels, rules.pin, only)
+    engine = task.image and (task.image.engine or "any")
+    key = (rules.only, rules.never, labels, rules.pin, only, engine)
     if key not in context.edge_rejections:
         found = dict(context.fleet.closed)
         for edge in range(context.fleet.edges):
@@ -322,6 +330,7 @@ def _get_edge_rejections(context: AssignmentContext, task: Task) -> dict[int, Re
                 RejectionRule.ONBOARD
                 if only
                 else find_rule_against(context.fleet.places[edge], task, robot=False)
+                or find_missing_engine(context.fleet.samples[edge], task)
             )
             if rule is not None:
                 found[edge] = Rejection(rule=rule)

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from edgectl.model.assignment import Rejection, RejectionRule
 from edgectl.model.inventory import Host
 from edgectl.model.resource import NETWORK, NOTHING, RESOURCES, Resource
+from edgectl.model.snapshot import HostSample
 from edgectl.model.task import OnboardRule, Task
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.ledger import Ledger, compute_demand_usage
@@ -42,6 +43,15 @@ def find_rule_against(host: Host, task: Task, *, robot: bool) -> RejectionRule |
         if any(host.labels.get(key) != value for key, value in rules.labels.items())
         else None
     )
+
+
+def find_missing_engine(sample: HostSample | None, task: Task) -> RejectionRule | None:
+    """The rule against a host that cannot run the container of ``task``; None where it can, or may."""
+    if task.image is None or sample is None or sample.engines is None:
+        return None
+    wanted = task.image.engine
+    found = bool(sample.engines) if wanted is None else wanted.value in sample.engines
+    return None if found else RejectionRule.NO_ENGINE
 
 
 def compute_resource_terms(

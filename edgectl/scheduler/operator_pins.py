@@ -13,7 +13,7 @@ from edgectl.model.manager_state import ManagerState, Pin
 from edgectl.model.task import NothingFits, Task, Tasks, join_units
 from edgectl.scheduler.candidates import NEW_WORK_ONLY
 from edgectl.scheduler.capacities import Capacities
-from edgectl.scheduler.feasibility import find_own_robot, find_rule_against
+from edgectl.scheduler.feasibility import find_missing_engine, find_own_robot, find_rule_against
 from edgectl.scheduler.initial_state import InitialState
 from edgectl.scheduler.ledger import compute_demand_usage
 from edgectl.scheduler.task_usage import TaskUsage, add_usage
@@ -127,6 +127,7 @@ def find_pin_obstacle(
     if robot and place != find_own_robot(fleet, task):
         return RejectionRule.ONBOARD
     rule = find_rule_against(fleet.places[place], task, robot=robot)
+    rule = rule or find_missing_engine(fleet.samples[place], task)
     if rule is not None or best_effort or task.if_nothing_fits is NothingFits.BEST_EFFORT:
         return rule
     if not robot and any(fleet.links[name][place] is None for name in task.robots if name in fleet.links):

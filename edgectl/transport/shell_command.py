@@ -56,3 +56,17 @@ def build_enter_command(
     if host.connection is Connection.LOCAL:
         return python
     return [*OpenSshTransport().build_manual_command(host, tty=tty), f"exec {shlex.join(python)}"]
+
+
+def build_container_command(
+    host: Host, engine: str, container: str, argv: Sequence[str], *, tty: bool = False
+) -> list[str]:
+    """The command that runs ``argv`` in a container on ``host``, by ``engine``. No shell sees ``argv``.
+
+    Raises:
+        ConnectError: there is no ssh program, or no host name.
+    """
+    words = [engine, "exec", "--interactive", *(["--tty"] if tty else []), container, *argv]
+    if host.connection is Connection.LOCAL:
+        return words
+    return [*OpenSshTransport().build_manual_command(host, tty=tty), f"exec {shlex.join(words)}"]

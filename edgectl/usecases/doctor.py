@@ -140,5 +140,10 @@ def _collect_answers(fleet: Fleet, hosts: Sequence[Host], state: Disk, timeout: 
     measured = {} if state.obstacle else load_link_capacities(fleet.state, fleet.warn)
     with contextlib.nullcontext(fleet) if state.obstacle else track_heartbeats(fleet) as near:
         packages = {host.name: tuple(list_ros_packages(fleet.tasks.tasks, host)) for host in hosts}
-        options = HostFactsOptions(timeout=timeout, measured=measured, packages=packages)
+        options = HostFactsOptions(
+            timeout=timeout,
+            measured=measured,
+            packages=packages,
+            engines=any(task.image is not None for task in fleet.tasks.tasks.values()),
+        )
         return collect_host_facts(fleet.inventory, hosts, near.transport, options, clock=fleet.clock)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command that runs beside a task, on its host and in its environment (``edgectl exec``)."""
+"""The command that runs beside a task, on its host or in its container (``edgectl exec``)."""
 
 from collections.abc import Sequence
 
@@ -7,7 +7,7 @@ from edgectl.errors import UnansweredError, UsageError, describe_unseen_task
 from edgectl.gateway.task_lookup import find_task_process
 from edgectl.names import check_known_names
 from edgectl.state.manager_state import load_manager_state
-from edgectl.transport.shell_command import build_enter_command
+from edgectl.transport.shell_command import build_container_command, build_enter_command
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.heartbeat import track_heartbeats
 
@@ -39,4 +39,6 @@ def find_enter_command(fleet: Fleet, task: str, argv: Sequence[str], *, tty: boo
                 hint="edgectl doctor",
             )
         raise UsageError(f"{task} is not running", hint=f"edgectl start {task}")
+    if found.container:
+        return build_container_command(host, found.engine, found.container, argv, tty=tty)
     return build_enter_command(host, task, found.pid, argv, tty=tty)

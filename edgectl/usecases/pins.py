@@ -45,6 +45,10 @@ _OBSTACLES = {
         "may not run on {host}: its onboard, or that of its robot, leaves {host} out",
         "change onboard of {entry} in its task file, or of the robot in the inventory",
     ),
+    RejectionRule.NO_ENGINE: (
+        "may not run on {host}, which has no container engine for its image",
+        "edgectl doctor {host}",
+    ),
     RejectionRule.INSUFFICIENT: (
         "can never run on {host}: it demands more than the whole host, or its link, has",
         "edgectl describe task {task}; edgectl get hosts",

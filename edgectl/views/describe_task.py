@@ -7,6 +7,7 @@ from edgectl.formats.document import Document
 from edgectl.formats.event_document import encode_event
 from edgectl.model.check import Check
 from edgectl.model.event import Event
+from edgectl.model.image import ContainerImage, PullPolicy
 from edgectl.model.inventory import Inventory
 from edgectl.model.latency import HeardRule, LatencyRule, LatencySample
 from edgectl.model.manager_state import ManagerState, Pin
@@ -132,6 +133,7 @@ def _list_spec_fields(stated: Task) -> list[Field]:
         ("Template", stated.template if stated.template != stated.name else ""),
         ("Kind", stated.kind.value if stated.managed else f"{stated.kind.value}, not managed"),
         ("Command", stated.command),
+        ("Image", _format_image(stated.image)),
         ("Workdir", stated.workdir or ""),
         ("Nodes", ", ".join(list_node_names(stated))),
         ("Robots", ", ".join(stated.robots)),
@@ -165,6 +167,22 @@ def _list_spec_fields(stated: Task) -> list[Field]:
         ("Environment", format_pairs(stated.env)),
         ("Env command", " ".join(stated.env_command)),
     ]
+
+
+def _format_image(image: ContainerImage | None) -> str:
+    """The container of a task; what is at its default is left out."""
+    if image is None:
+        return ""
+    parts = [image.name, *([image.engine.value] if image.engine is not None else [])]
+    parts += [f"gpus {image.gpus}"] if image.gpus is not None else []
+    parts += [f"user {image.user}"] if image.user is not None else []
+    parts += [
+        f"{name} {value}"
+        for name, value in (("network", image.network), ("ipc", image.ipc))
+        if value != "host"
+    ]
+    parts += [f"pull {image.pull.value}"] if image.pull is not PullPolicy.MISSING else []
+    return ", ".join([*parts, *image.devices, *image.volumes, *image.args])
 
 
 def _format_deadline(stated: Task) -> str:
@@ -281,6 +299,7 @@ def _render_run_rows(sample: TaskSample, now: float, state: Cell | None = None) 
         ("Since:", since),
         ("Ended:", "" if sample.ended_at is None else _format_ago(sample.ended_at, now)),
         ("Process:", str(sample.pid or "")),
+        ("Container:", sample.container),
         ("Restarts:", str(sample.restarts)),
         ("Last exit:", "" if sample.last_exit is None else str(sample.last_exit)),
         ("Exit code:", "" if sample.exit_code is None else str(sample.exit_code)),
@@ -352,6 +371,7 @@ def _encode_task_spec(stated: Task) -> Document:
         "task_kind": stated.kind.value,
         "managed": stated.managed,
         "command": stated.command,
+        "image": None if stated.image is None else stated.image.name,
         "node_names": list(list_node_names(stated)),
         "robot_names": list(stated.robots),
         "needs": [{"task": need.task, "until": need.until.value} for need in stated.needs],

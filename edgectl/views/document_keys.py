@@ -179,8 +179,8 @@ INNER_KEYS: KeysByName = {
     "mission_events": ("event_name", "kind", "subject", "begin_s", "failures", *_RECOVERY),
     "recoveries": _RECOVERY,
     "spec": (
-        "template", "task_kind", "managed", "command", "node_names", "robot_names", "needs", "priority",
-        "deadline_s", "hard_deadline", "labels", "restart", "handoff", "on_unreachable", "env",
+        "template", "task_kind", "managed", "command", "image", "node_names", "robot_names", "needs",
+        "priority", "deadline_s", "hard_deadline", "labels", "restart", "handoff", "on_unreachable", "env",
     ),
     "utilisation": ("mean", "peak"),
 }  # fmt: skip

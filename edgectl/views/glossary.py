@@ -128,6 +128,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "fastest": "scheme that is the fastest in a world of a sweep",
         "edge": "name of an edge",
         "edgectl": "version of edgectl",
+        "image": "image of a container; null: a command of the host",
         "enforcement": "enforcement of the limits of a task",
         "error": "cause of a failure",
         "experiment": "name of an experiment",

@@ -34,6 +34,7 @@ _RULE_TEXTS = {
     RejectionRule.LABELS: "without the labels",
     RejectionRule.PIN: "not the pinned host",
     RejectionRule.ONBOARD: "excluded by onboard",
+    RejectionRule.NO_ENGINE: "without its container engine",
     RejectionRule.NO_LINK: "without a link",
     RejectionRule.NO_CAPACITY: "without capacity",
     RejectionRule.INSUFFICIENT: "short of",

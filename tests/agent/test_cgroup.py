@@ -116,3 +116,38 @@ def test_no_limit_where_none_can_be_read(tmp_path: Path, files: dict[str, str]) 
     root = tree(tmp_path, files)
     assert cgroup.find_cpu_limit(root) is None
     assert cgroup.find_memory_limit(root) is None
+
+
+CONTAINER = "ab" * 32
+
+
+def test_usage_of_a_container_by_its_process_in_v1(tmp_path: Path) -> None:
+    root = tree(
+        tmp_path,
+        V1
+        | {
+            "proc/77/cgroup": f"5:memory:/docker/{CONTAINER}\n4:cpuacct:/docker/{CONTAINER}\n3:cpu:/x\n0::/\n",
+            f"sys/fs/cgroup/cpuacct/docker/{CONTAINER}/cpuacct.usage": "1500000000\n",
+            f"sys/fs/cgroup/memory/docker/{CONTAINER}/memory.usage_in_bytes": "90000000\n",
+            f"sys/fs/cgroup/memory/docker/{CONTAINER}/memory.stat": "total_cache 30000000\ntotal_shmem 10000000\n",
+        },
+    )
+    assert cgroup.read_container_cpu_s(77, root) == 1.5
+    assert cgroup.read_container_memory(77, root) == 70_000_000
+    assert (cgroup.read_container_cpu_s(78, root), cgroup.read_container_memory(78, root)) == (-1.0, -1)
+
+
+def test_usage_of_a_container_by_its_process_in_v2(tmp_path: Path) -> None:
+    scope = f"sys/fs/cgroup/system.slice/docker-{CONTAINER}.scope"
+    root = tree(
+        tmp_path,
+        V2
+        | {
+            "proc/77/cgroup": f"0::/system.slice/docker-{CONTAINER}.scope\n",
+            f"{scope}/cpu.stat": "usage_usec 2500000\n",
+            f"{scope}/memory.current": "50000000\n",
+            f"{scope}/memory.stat": "file 20000000\nshmem 5000000\n",
+        },
+    )
+    assert cgroup.read_container_cpu_s(77, root) == 2.5
+    assert cgroup.read_container_memory(77, root) == 35_000_000

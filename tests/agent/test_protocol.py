@@ -96,5 +96,5 @@ def test_replies_of_the_agent_have_the_stated_keys(host: AgentHost) -> None:
         host.ask("profiler-stop")
     host.stop("slam")
     assert set().union(*reply["tasks"].values()) == set(protocol.ENTRY_KEYS) - (
-        {"metrics", "orphaned", "adoptable"} - set(reply["tasks"]["slam"])
+        {"metrics", "orphaned", "adoptable", "engine", "container"} - set(reply["tasks"]["slam"])
     )

@@ -167,7 +167,12 @@ def publish(words: list[str], site: Path, env: dict[str, str]) -> int:
 @pytest.fixture
 def env(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     """The environment of processes, and of this one."""
-    own = {"EDGECTL_STATE_DIR": str(tmp_path / "state"), "COLUMNS": "80", "TERM": "xterm", "SHELL": "/bin/bash"}
+    own = {
+        "EDGECTL_STATE_DIR": str(tmp_path / "state"),
+        "COLUMNS": "80",
+        "TERM": "xterm",
+        "SHELL": "/bin/bash",
+    }
     for name, value in own.items():
         monkeypatch.setenv(name, value)
     return dict(os.environ)

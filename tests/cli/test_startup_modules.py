@@ -106,13 +106,13 @@ def start(folder: Path, env: dict[str, str], *words: str) -> Start:
     ("words", "most_modules", "most_compiled", "foreign"),
     [
         (("--help",), 165, 40, SSH | PLANNING),
-        (("validate",), 296, 85, SSH | PLANNING),
+        (("validate",), 298, 85, SSH | PLANNING),
         (("plan", "--snapshot", "snap.json"), 437, 175, SSH),
-        (("probe", "--window", "0"), 554, 170, PLANNING),
+        (("probe", "--window", "0"), 556, 170, PLANNING),
         (("plan",), 624, 240, set()),
         (("apply", "-y"), 658, 260, set()),
         (("status",), 620, 235, set()),
-        (("logs", "beat"), 500, 165, PLANNING),
+        (("logs", "beat"), 502, 165, PLANNING),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )

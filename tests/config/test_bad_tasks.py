@@ -122,6 +122,27 @@ CASES = [
     BrokenFile(name="onboard where nothing runs", old="onboard: allow", new="onboard: only", at="only", code="EC033",
         message="onboard: only, but robot2 runs no tasks", hint="onboard: allow here", mended="onboard: allow"),
     *(
+        BrokenFile(name=f"image, {name}", old="    demand: {cpu: 35.2%, memory: 2.5%, throughput: 2.5%}\n", new=f"    image: {new}\n    demand: {{cpu: 35.2%, memory: 2.5%, throughput: 2.5%}}\n", at=at, code=code,
+            message=message, hint=hint, mended=f"    image: {mended}\n    demand: {{cpu: 35.2%, memory: 2.5%, throughput: 2.5%}}\n")
+        for name, new, at, code, message, hint, mended in [
+            ("an option", "--privileged", "--privileged\n", "EC019", "'--privileged' is no name of an image", "such as ros:jazzy", "ros:jazzy"),
+            ("a number", "22.04", "22.04\n", "EC010", "must be a string, not 22.04", 'put it in quotes: "22.04"', '"22.04"'),
+            ("no name", "{gpus: all}", "{gpus: all}", "EC011", "image needs name", "add name", "{name: a, gpus: all}"),
+            ("unknown key", "{name: a, volume: []}", "volume", "EC012", "unknown key volume in image", "did you mean volumes?", "{name: a, volumes: []}"),
+            ("unknown engine", "{name: a, engine: dcker}", "dcker", "EC013", "unknown word", "did you mean docker?", "{name: a, engine: docker}"),
+            ("no GPU", "{name: a, gpus: 0}", "0}", "EC015", "1", "1", "{name: a, gpus: 1}"),
+            ("device of nowhere", "{name: a, devices: [video0]}", "video0", "EC019", "'video0' is no device", "write /dev/video0", "{name: a, devices: [/dev/video0]}"),
+            ("volume to a relative path", '{name: a, volumes: ["/srv:maps"]}', '"/srv:maps"', "EC019", "'/srv:maps' is no volume", "/srv/maps:/maps", '{name: a, volumes: ["/srv/maps:/maps:ro"]}'),
+            ("option as a volume", '{name: a, volumes: ["-v:/maps"]}', '"-v:/maps"', "EC019", "is no volume", "NAME:/maps", '{name: a, volumes: ["NAME:/maps"]}'),
+            ("user as a number", "{name: a, user: 1000}", "1000}", "EC010", "must be a string, not 1000", 'put it in quotes: "1000"', '{name: a, user: "1000"}'),
+            ("option as a network", "{name: a, network: --x}", "--x", "EC019", "'--x' is no network", "write host, bridge", "{name: a, network: bridge}"),
+            ("argument that is no option", "{name: a, args: [sh]}", "sh]", "EC019", "'sh' is no option of the engine", "as one word: --shm-size=1g", "{name: a, args: [--shm-size=1g]}"),
+            ("option of edgectl", "{name: a, args: [--name=x]}", "--name=x", "EC033", "--name is an option that edgectl sets itself", "remove it", "{name: a, args: []}"),
+        ]
+    ),
+    BrokenFile(name="image of an unmanaged task", old="    managed: false\n", new="    managed: false\n    image: ros:jazzy\n", at="image", code="EC033",
+        message="a task with managed: false is never started, so it has no image", hint="remove image", mended="    managed: false\n"),
+    *(
         BrokenFile(name=f"standby, {name}", old="    demand: {cpu: 35.2%, memory: 2.5%, throughput: 2.5%}\n", new=f"    standby: {new}\n    demand: {{cpu: 35.2%, memory: 2.5%, throughput: 2.5%}}\n", at=at, code=code,
             message=message, hint=hint, mended=f"    standby: {mended}\n    demand: {{cpu: 35.2%, memory: 2.5%, throughput: 2.5%}}\n")
         for name, new, at, code, message, hint, mended in [

@@ -11,6 +11,7 @@ from edgectl.config.load import load_inventory, load_inventory_and_tasks, load_t
 from edgectl.errors import InputError, Problem
 from edgectl.model.check import Check, CheckLocation
 from edgectl.model.demand import Demand, Quantity
+from edgectl.model.image import ContainerEngine, ContainerImage, PullPolicy
 from edgectl.model.inventory import BaseLoad, Capacity, Connection, Inventory, Limits
 from edgectl.model.policy import PolicyName, SequenceRule, Weights
 from edgectl.model.task import (
@@ -311,3 +312,39 @@ tasks:
     )
     assert found["c"].demand == Demand(cpu=measured, memory=Quantity(value=1.0))
     assert not warnings
+
+
+def test_an_image_by_name_and_as_a_mapping(tmp_path: Path) -> None:
+    short = load_task(tmp_path, "robot: robot1, image: 'ros:jazzy'")
+    assert short.image == ContainerImage(name="ros:jazzy")
+    assert (short.image.network, short.image.ipc, short.image.pull) == ("host", "host", PullPolicy.MISSING)
+    written = (
+        "{name: 'lab:5000/a@sha256:00', engine: podman, gpus: 2, devices: [/dev/video0], user: '1000:1000',"
+        " volumes: ['~/maps/{robot}:/maps:ro'], env: {MAP: '{robot_host}'}, network: none, ipc: private,"
+        " pull: always, args: ['--label=robot={robot}']}"
+    )
+    full = load_task(tmp_path, f"robot: robot1, image: {written}")
+    assert full.image == ContainerImage(
+        name="lab:5000/a@sha256:00",
+        engine=ContainerEngine.PODMAN,
+        gpus="2",
+        devices=("/dev/video0",),
+        volumes=("~/maps/robot1:/maps:ro",),
+        env={"MAP": "192.168.1.21"},
+        user="1000:1000",
+        network="none",
+        ipc="private",
+        pull=PullPolicy.ALWAYS,
+        args=("--label=robot=robot1",),
+    )
+    assert full.spec_fields.keys() - short.spec_fields.keys() == set()
+    assert short.spec_fields["image"] != full.spec_fields["image"]
+    assert "image" not in load_task(tmp_path, "robot: robot1").spec_fields
+
+
+def test_an_image_needs_no_command(tmp_path: Path) -> None:
+    inventory, tasks, problems = load_files(
+        tmp_path, "version: 1\ntasks: {t: {image: 'ros:jazzy', demand: {cpu: 0, memory: 0}}}"
+    )
+    assert (tasks.tasks["t"].command, problems) == ("", ())
+    assert inventory.hosts

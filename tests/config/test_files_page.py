@@ -14,6 +14,7 @@ from edgectl.config import (
     check_readers,
     coordination,
     demand_readers,
+    image_readers,
     inventory_file,
     job_readers,
     latency_readers,
@@ -61,6 +62,7 @@ TABLES: Mapping[str, tuple[Mapping[str, object], ...]] = {
     "## Tasks": (task_file.TASK_FILE_KEYS,),
     "### A task": (task_file.TASK_KEYS,),
     "### Jobs of a task": (job_readers.JOB_KEYS, job_readers.SERVICE_TIME_KEYS),
+    "### Image": (image_readers.IMAGE_KEYS,),
     "### Demand": (demand_readers.DEMAND_KEYS,),
     "### Needs": (task_readers.NEED_KEYS,),
     "### Hosts of a task": (task_readers.HOST_RULES_KEYS,),
@@ -134,7 +136,7 @@ def test_readers_cover_the_model() -> None:
 def test_keys_of_a_snapshot_are_complete() -> None:
     everything = TaskSample(
         state=TaskState.FAILED, links={}, instance="i", spec_hash="s", generation=1, managed=False, restarts=1, exit_code=1, detail="d",
-        fields={"command": "c"}, last_exit=1, log_tail=("l",), limits="l", given_up=True, metrics={"fps": 29.5}, ended_at=1.0, file="f", orphaned=True, adoptable=True, needed="a1b2c3", nodes={"/slam": "http://edge1:1"}, partial="udp unseen", latency=LatencySample(count=1), switching=True, deactivated=7,
+        fields={"command": "c"}, last_exit=1, log_tail=("l",), limits="l", given_up=True, metrics={"fps": 29.5}, ended_at=1.0, file="f", orphaned=True, adoptable=True, needed="a1b2c3", nodes={"/slam": "http://edge1:1"}, partial="udp unseen", latency=LatencySample(count=1), switching=True, deactivated=7, container="edgectl-lab-edge1-slam",
     )  # fmt: skip
     device = DeviceSample(
         load_1m=1.0,
@@ -163,6 +165,7 @@ def test_keys_of_a_snapshot_are_complete() -> None:
         address="ana@10.0.0.1",
         machine="m/1000/a",
         counters="installed",
+        engines=("docker",),
     )
     document = SNAPSHOT_KIND.encode(
         type(SNAPSHOT)(taken_at=0.0, hosts={"h": sample}, manager=SNAPSHOT.manager)

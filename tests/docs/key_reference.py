@@ -25,6 +25,7 @@ HEADINGS = {
     "Links": ("link",),
     "Tasks": ("tasks",),
     "A task": ("task",),
+    "Image": ("task.image",),
     "Demand": ("task.demand",),
     "Needs": ("task.needs",),
     "Hosts of a task": ("task.hosts",),

@@ -11,6 +11,7 @@ from edgectl.executor.dependencies import build_step_dependencies, list_stop_hos
 from edgectl.executor.dry_run import list_dry_run_requests
 from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.check import Check, CheckLocation
+from edgectl.model.image import ContainerImage
 from edgectl.model.inventory import Runtime
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy
@@ -69,6 +70,18 @@ def test_a_start_request_is_the_task_as_it_will_run() -> None:
         {"command": "is up", "graph": None, "timeout_s": 7.0},
         {"signal": "TERM", "grace_s": 20.0, "preset": "ros"},
     )
+
+
+def test_the_workdir_of_an_image_is_in_the_container() -> None:
+    image = ContainerImage(name="lab/slam:1", env={"LEVEL": "image"}, devices=("/dev/video0",))
+    task = a_task("slam", workdir="/data", image=image, env={"LEVEL": "task", "MORE": "x"})
+    spec = host_requests.build_start_request(task, EDGE, FLEET.hosts)["spec"]
+    assert isinstance(spec, dict)
+    assert (spec["workdir"], spec["env"]["LEVEL"], spec["env"]["MORE"]) == (None, "image", "x")
+    assert spec["image"] == {
+        "name": "lab/slam:1", "engine": None, "gpus": None, "devices": ["/dev/video0"], "volumes": [],
+        "user": None, "network": "host", "ipc": "host", "pull": "missing", "args": [], "workdir": "/data",
+    }  # fmt: skip
 
 
 def test_a_ready_check_on_the_robot_stays_with_the_manager() -> None:

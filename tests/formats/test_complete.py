@@ -69,7 +69,7 @@ LATENCY = LatencySample(
 TASK = TaskSample(
     state=TaskState.FAILED, pid=1, started_at=2.0, used=Usage(cpu=3.0, memory=4.0, network=5.0), links={"r": 6.0}, instance="i",
     spec_hash="s", generation=7, managed=False, restarts=8, exit_code=-9, detail="d",
-    fields={"command": "c"}, last_exit=3, log_tail=("l",), limits="enforced", given_up=True, metrics={"fps": 29.5}, ended_at=2.5, file="f", orphaned=True, adoptable=True, needed="a1b2c3", nodes={"/slam": "http://edge1:1"}, partial="udp unseen", latency=LATENCY, switching=True, deactivated=7,
+    fields={"command": "c"}, last_exit=3, log_tail=("l",), limits="enforced", given_up=True, metrics={"fps": 29.5}, ended_at=2.5, file="f", orphaned=True, adoptable=True, needed="a1b2c3", nodes={"/slam": "http://edge1:1"}, partial="udp unseen", latency=LATENCY, switching=True, deactivated=7, container="edgectl-lab-edge1-slam",
 )  # fmt: skip
 INTERFACE = InterfaceSample(
     rx_bytes_per_s=1.0, tx_bytes_per_s=2.0, speed_bytes_per_s=3.0, level_dbm=-61.0, retries_per_s=4.0, access_point="a", joined_s=5.0,
@@ -90,7 +90,7 @@ OTHER = OtherTask(
 HOST = HostSample(
     role=Role.ROBOT, status=HostStatus.UNREACHABLE, error="e", error_kind="k", hint="h", sample_age_s=1.5, resident=True, usage={"cpu": CPU_USE, "memory": MEMORY_USE},
     links={"r": LINK}, tasks={"t": TASK}, standbys={"s": TASK}, device=DEVICE, generations={"t": 9},
-    other_tasks=(OTHER,), foreign_tasks=(OTHER,), address="a", machine="m", grant=4, foreign_grant=3, foreign_hosts=("x",), counters="installed",
+    other_tasks=(OTHER,), foreign_tasks=(OTHER,), address="a", machine="m", grant=4, foreign_grant=3, foreign_hosts=("x",), counters="installed", engines=("docker",),
     totals=UsageTotals(cpu_s=1.5, network_bytes=2.5, tasks={"i": 0.5}),
 )  # fmt: skip
 PLACEMENT = Placement(

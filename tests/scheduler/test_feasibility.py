@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from edgectl.model.assignment import Reason, Rejection, RejectionRule, Verdict
+from edgectl.model.image import ContainerEngine, ContainerImage
 from edgectl.model.inventory import Host
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
@@ -28,6 +29,7 @@ from tests.builders import (
 from tests.scheduler.fleets import NO_MEMORY, decisions_by_task, ranking_by_host, run_assign
 
 LINKS = {"robot1": a_link()}
+IMAGE = ContainerImage(name="ros:jazzy")
 
 
 @pytest.mark.parametrize(
@@ -55,6 +57,14 @@ LINKS = {"robot1": a_link()}
         ),
         (an_edge(), a_sample(), NO_MEMORY, a_task(labels={"gpu": "maxwell"}), RejectionRule.LABELS),
         (an_edge(), a_sample(), NO_MEMORY, a_task(onboard=OnboardRule.ONLY), RejectionRule.ONBOARD),
+        (an_edge(), replace(a_sample(), engines=()), NO_MEMORY, a_task(image=IMAGE), RejectionRule.NO_ENGINE),
+        (
+            an_edge(),
+            replace(a_sample(), engines=("docker",)),
+            NO_MEMORY,
+            a_task(image=replace(IMAGE, engine=ContainerEngine.PODMAN)),
+            RejectionRule.NO_ENGINE,
+        ),
     ],
 )
 def test_no_candidate(
@@ -73,6 +83,24 @@ def test_a_fresh_enough_sample_and_matching_rules_pass() -> None:
     inventory = an_inventory(an_edge(labels={"gpu": "maxwell", "rack": "2"}))
     decision = run_assign(inventory, some_tasks(task), a_snapshot(edge1=a_sample(age=60.0))).decisions[0]
     assert (decision.host, decision.reason) == ("edge1", Reason.PINNED)
+
+
+def test_a_container_stays_where_the_engine_is_away_for_a_moment() -> None:
+    """The containers of an engine that is restarted live on; new ones go elsewhere."""
+    inventory, task = an_inventory(an_edge("edge2"), an_edge("edge1")), a_task("slam", image=IMAGE)
+    runs = a_run(spec_hash=task.spec_hash)
+    for tasks, host in (({"slam": runs}, "edge2"), ({}, "edge1")):
+        away = replace(a_sample(used=0.0, tasks=tasks), engines=())
+        there = replace(a_sample(used=3.0), engines=("docker",))
+        decision = run_assign(inventory, some_tasks(task), a_snapshot(edge1=there, edge2=away)).decisions[0]
+        assert decision.host == host
+
+
+def test_an_engine_that_nobody_asked_for_is_not_missing() -> None:
+    decision = run_assign(
+        an_inventory(an_edge()), some_tasks(a_task(image=IMAGE)), a_snapshot(edge1=a_sample())
+    ).decisions[0]
+    assert decision.host == "edge1"
 
 
 def test_without_is_what_if() -> None:

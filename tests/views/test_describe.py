@@ -10,6 +10,7 @@ import yaml
 from edgectl.model.check import Check, CheckLocation
 from edgectl.model.demand import Demand, Quantity
 from edgectl.model.event import Event, EventKind
+from edgectl.model.image import ContainerImage
 from edgectl.model.inventory import Capacity
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.resource import Usage
@@ -268,6 +269,14 @@ def test_secrets_stay_hidden(form: OutputFormat) -> None:
     for text in (host("edge1", form), task(form=form)):
         assert "canary" not in text
         assert "***" in text
+
+
+def test_the_container_of_a_task() -> None:
+    image = ContainerImage(name="lab:5000/slam:1", gpus="all", volumes=("/srv:/srv",), ipc="private")
+    found = TaskDetailsView("t", snapshot(), FLEET, some_tasks(a_task("t", image=image)), None, None)
+    assert "Image:        lab:5000/slam:1, gpus all, ipc private, /srv:/srv\n" in found.table()
+    assert json.loads(json.dumps(found.item()))["spec"]["image"] == "lab:5000/slam:1"
+    assert json.loads(task(form=OutputFormat.JSON))["item"]["spec"]["image"] is None
 
 
 def test_documents() -> None:

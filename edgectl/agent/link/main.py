@@ -128,6 +128,8 @@ def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C90
         from ..supervise.status import mark_task as operation
     elif name == protocol.OP_CHECK:
         from ..ros.question import run_check as operation
+    elif name == protocol.OP_PULL:
+        from ..containers.pull import pull_image as operation
     elif name == protocol.OP_RUN:
         from ..supervise.shell import run_program as operation
     elif name == protocol.OP_GRAPH:

@@ -29,6 +29,7 @@ OP_PROFILER_RUN = "profiler-run"
 OP_PROFILER_START = "profiler-start"
 OP_PROFILER_STATUS = "profiler-status"
 OP_PROFILER_STOP = "profiler-stop"
+OP_PULL = "pull"
 OP_READ_STATE = "read-state"
 OP_RUN = "run"
 OP_SAMPLE_LINK = "sample-link"
@@ -66,7 +67,7 @@ REQUEST_KEYS = {
     OP_CHECK: ("command", "graph", "prelude", "ros", "env", "timeout_s"),
     OP_COUNTERS: ("action", "links"),
     OP_DEACTIVATE: ("task", "instance", "generation", "manager", "spec", "await_go_s"),
-    OP_DOCTOR: ("links", "prelude", "ros", "packages", "env", "timeout_s"),
+    OP_DOCTOR: ("links", "prelude", "ros", "packages", "engines", "env", "timeout_s"),
     OP_DROP_STATE: ("task", "generation"),
     OP_FETCH: ("task", "workdir", "file", "most", "offset"),
     OP_FOLLOW: ("task", "tail", "since_s"),
@@ -106,6 +107,7 @@ REQUEST_KEYS = {
     OP_PROFILER_START: ("every_s", "ttl_s", "links", "peers", "detect"),
     OP_PROFILER_STATUS: ("links", "peers", "detect"),
     OP_PROFILER_STOP: (),
+    OP_PULL: ("task", "instance", "image", "timeout_s"),
     OP_READ_STATE: ("task", "offset"),
     OP_RUN: ("argv", "timeout_s"),
     OP_SAMPLE_LINK: ("address", "port", "token", "seconds", "rate_bytes_per_s"),
@@ -137,6 +139,7 @@ SPEC_KEYS = (
     "prelude",
     "env",
     "workdir",
+    "image",
     "kind",
     "restart",
     "stop",
@@ -168,6 +171,8 @@ ENTRY_KEYS = (
     "file",
     "needed",
     "nodes",
+    "engine",
+    "container",
     "generation",
     "role",
     "switching",
@@ -294,12 +299,15 @@ COUNTERS_FILE = "/etc/edgectl/counters_%s.nft"
 # ``exit`` in the reply to OP_CHECK where the ROS graph was to be asked and nobody could be.
 UNKNOWN_EXIT = 2
 
-# States of the replies to OP_START, OP_STOP and OP_PROFILER_*.
+# States of the replies to OP_START, OP_STOP, OP_PULL and OP_PROFILER_*.
 STARTED = "started"
 TAKEN_OVER = "taken-over"
 ALREADY_RUNNING = "already-running"
 NOT_RUNNING = "not-running"
 STOP_INCOMPLETE = "stop-incomplete"
+PULLED = "pulled"
+PRESENT = "present"
+PULLING = "pulling"
 REPLACED = "replaced"
 STALLED = "stalled"
 

@@ -33,12 +33,12 @@ def _read_numbers(path: str) -> "dict[str, int]":
     return {pair[0]: int(pair[1]) for pair in pairs if len(pair) == 2 and pair[1].isdigit()}
 
 
-def _list_own_groups(root: str, controller: str) -> "list[tuple[str, int]]":
-    """List (directory, version) from the agent's own group up to the top of the hierarchy that has
-    ``controller``.
+def _list_groups(root: str, controller: str, process: str = "self") -> "list[tuple[str, int]]":
+    """List (directory, version) from the group of a process (the agent's own) up to the top of the hierarchy
+    that has ``controller``.
     """
     v2_path = ""
-    for line in _read_text(root + "/proc/self/cgroup").splitlines():
+    for line in _read_text("%s/proc/%s/cgroup" % (root, process)).splitlines():
         number, _, rest = line.partition(":")
         names, _, path = rest.partition(":")
         if controller in names.split(","):
@@ -86,7 +86,7 @@ def find_cpu_limit(root: str = "") -> "CgroupLimit | None":
     """
     found = [
         CgroupLimit(_read_cpu_quota(folder, version), folder, version)
-        for folder, version in _list_own_groups(root, "cpu")
+        for folder, version in _list_groups(root, "cpu")
     ]
     return min((limit for limit in found if limit.value > 0), key=lambda limit: limit.value, default=None)
 
@@ -111,11 +111,33 @@ def find_memory_limit(root: str = "") -> "CgroupLimit | None":
     None where there is none.
     """
     found = []
-    for folder, version in _list_own_groups(root, "memory"):
+    for folder, version in _list_groups(root, "memory"):
         text = _read_text(folder + ("/memory.max" if version == 2 else "/memory.limit_in_bytes"))
         if text.isdigit() and 0 < int(text) < _NO_LIMIT:
             found.append(CgroupLimit(int(text), folder, version))
     return min(found, key=lambda limit: limit.value, default=None)
+
+
+def read_container_cpu_s(pid: int, root: str = "") -> float:
+    """Read the CPU seconds of the control group of a container with process ``pid``, since it was created; -1
+    where that cannot be read.
+    """
+    # Version 1 counts in cpuacct, which need not be where the quota is.
+    for controller in ("cpuacct", "cpu"):
+        for folder, version in _list_groups(root, controller, str(pid))[:1]:
+            return read_cpu_used_s(CgroupLimit(0.0, folder, version), root)
+    return -1.0
+
+
+def read_container_memory(pid: int, root: str = "") -> int:
+    """Read the bytes of the control group of a container with process ``pid``, as `read_memory_used`; -1
+    where that cannot be read.
+    """
+    for folder, version in _list_groups(root, "memory", str(pid))[:1]:
+        name = "memory.current" if version == 2 else "memory.usage_in_bytes"
+        if os.path.exists(os.path.join(folder, name)):
+            return read_memory_used(CgroupLimit(0.0, folder, version))
+    return -1
 
 
 def read_memory_used(limit: CgroupLimit) -> int:

@@ -57,6 +57,10 @@ def collect_facts(request: Document) -> Document:
         "hardware": _collect_hardware(device.measure_hardware(hardware)),
         "links": {robot: _build_link_facts(found, robot, probes) for robot, found in addresses.items()},
     }
+    if request.get("engines"):
+        from ..containers.engine import describe_engines
+
+        answer["engines"] = describe_engines()
     result = seen.result()
     answer["surroundings"] = parse_surroundings(result)
     if request.get("ros"):

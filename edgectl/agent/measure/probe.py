@@ -57,6 +57,7 @@ def probe_host(request: Document) -> Document:
         **measured,
         **lease,
         **_read_totals(request),
+        **_list_engines(request),
     )
 
 
@@ -74,6 +75,15 @@ def _read_totals(request: Document) -> Document:
     from .totals import read_totals
 
     return {"totals": read_totals(request["host"])}
+
+
+def _list_engines(request: Document) -> Document:
+    """The container engines that this user may use, where a task of the fleet has an image."""
+    if not request.get("engines"):
+        return {}
+    from ..containers.engine import list_usable_engines
+
+    return {"engines": list_usable_engines()}
 
 
 def _describe_place() -> str:

@@ -6,7 +6,7 @@ tasks.
 from ..link import protocol
 from ..link.fast_json import Document
 from ..supervise import liveness, lockfile, state_dir, status
-from . import detection, proc, sockets
+from . import cgroup, detection, proc, sockets
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -22,13 +22,14 @@ _MAX_PSS_BYTES = 1 << 30
 class TaskProcesses:
     """The processes of one task: ``pids`` its own, ``above`` its supervisor (0: none).
 
-    ``entry`` its entry in a reply, without rates.
+    ``entry`` its entry in a reply, without rates. ``first``: in a container, whose control group counts, its
+    first process; else 0.
     """
 
-    __slots__ = ("above", "entry", "pids")
+    __slots__ = ("above", "entry", "first", "pids")
 
-    def __init__(self, pids: "set[int]", above: int, entry: Document) -> None:
-        self.pids, self.above, self.entry = pids, above, entry
+    def __init__(self, pids: "set[int]", above: int, entry: Document, first: int = 0) -> None:
+        self.pids, self.above, self.entry, self.first = pids, above, entry, first
 
 
 def find_tasks(
@@ -41,12 +42,25 @@ def find_tasks(
         entry = liveness.build_entry(record, alive) if record is not None else {}
         if record is not None and entry:
             found[name] = (
-                TaskProcesses(liveness.find_processes(record, table), liveness.find_supervisor(record), entry)
-                if alive
-                else TaskProcesses(set(), 0, entry)
+                _find_living_processes(record, entry, table) if alive else TaskProcesses(set(), 0, entry)
             )
     found.update(_detect_tasks(detect, table, found))
     return found
+
+
+def _find_living_processes(
+    record: liveness.InstanceRecord, entry: Document, table: "dict[int, proc.Process]"
+) -> TaskProcesses:
+    if not record.instance.get("image"):
+        return TaskProcesses(liveness.find_processes(record, table), liveness.find_supervisor(record), entry)
+    from ..containers.record import find_container_processes, read_container
+
+    # What follows the container from outside is the engine's and edgectl's, as a supervisor is.
+    first, inside = (
+        read_container(record.folder).get("pid", 0),
+        find_container_processes(record.folder, table),
+    )
+    return TaskProcesses(inside, 0, entry, first if first in inside else 0)
 
 
 def _detect_tasks(
@@ -123,8 +137,12 @@ def collect_cpu_s(group: TaskProcesses, table: "dict[int, proc.Process]") -> "di
     """Collect CPU seconds by pid.
 
     A child's time passes to the process that reaps it, so the sum over the tree only grows. The supervisor's
-    own work is not the task's, but it reaps the task's orphans.
+    own work is not the task's, but it reaps the task's orphans. Of a container its control group counts.
     """
+    if group.first in table:
+        used = cgroup.read_container_cpu_s(group.first)
+        if used >= 0:
+            return {group.first: used}
     seconds = {pid: proc.read_cpu_s(table[pid]) + table[pid].child_cpu for pid in group.pids if pid in table}
     if group.above in table:
         seconds[group.above] = table[group.above].child_cpu
@@ -149,8 +167,12 @@ def compute_cores(
 def read_task_memory(group: TaskProcesses, table: "dict[int, proc.Process]") -> int:
     """Read the bytes in use.
 
-    Pages shared by several processes count once where the kernel tells how they are shared (PSS).
+    Pages shared by several processes count once where the kernel tells how they are shared (PSS). Of a
+    container its control group counts.
     """
+    used = cgroup.read_container_memory(group.first) if group.first in table else -1
+    if used >= 0:
+        return used
     seen = [table[pid] for pid in group.pids if pid in table]
     return sum((_read_pss(each.pid, each.rss) if len(seen) > 1 else 0) or each.rss for each in seen)
 

@@ -50,14 +50,22 @@ def launch_supervisor(
         task_scope.why = "systemd-run failed: " + complaints
     read_end, write_end = os.pipe()
     order.update(report=write_end, why=task_scope.why)
-    _run_detached(lambda: _run_ordered_supervisor(order), write_end, (lock, write_end))
-    data, ended = _read_pipe(read_end, _REPORT_S)
+    run_detached(lambda: _run_ordered_supervisor(order), write_end, (lock, write_end))
+    data, ended = _read_pipe(read_end, _get_report_s(spec))
     os.close(read_end)
     return _parse_report(data) or {
         "error": "the supervisor exited before the task was started"
         if ended
         else "no report from the supervisor"
     }
+
+
+def _get_report_s(spec: Document) -> float:
+    if not spec.get("image"):
+        return _REPORT_S
+    from ..containers.command import REPORT_S
+
+    return REPORT_S + _REPORT_S
 
 
 def launch_takeover(record: InstanceRecord, lock: int, guard: int, spec: Document) -> Document:
@@ -71,13 +79,13 @@ def launch_takeover(record: InstanceRecord, lock: int, guard: int, spec: Documen
     def supervise() -> None:
         Supervisor(record.folder, lock, write_end, record.instance, spec, "", orphan=record.status).run()
 
-    _run_detached(supervise, write_end, kept)
+    run_detached(supervise, write_end, kept)
     data, _ = _read_pipe(read_end, _REPORT_S)
     os.close(read_end)
     return _parse_report(data) or {"error": "no report from the supervisor"}
 
 
-def _run_detached(work: "Callable[[], None]", report: int, keep: "tuple[int, ...]") -> None:
+def run_detached(work: "Callable[[], None]", report: int, keep: "tuple[int, ...]") -> None:
     """Run ``work`` in a process of a session of its own, with nothing open but ``keep``.
 
     ``report`` is closed here.
@@ -146,7 +154,7 @@ def _start_agent(argv: "list[str]", env: "dict[str, str]", request: Document, lo
     read_end, report = os.pipe()
     source, source_end = os.pipe()
     packet = _build_packet(dict(request, lock=lock, report=report))
-    _run_detached(lambda: _exec_agent(argv, env, source, report, lock), report, (lock, report, source))
+    run_detached(lambda: _exec_agent(argv, env, source, report, lock), report, (lock, report, source))
     os.close(source)
     _feed_pipe(source_end, packet)
     return read_end

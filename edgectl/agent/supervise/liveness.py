@@ -83,6 +83,9 @@ def find_processes(found: InstanceRecord, table: "dict[int, proc.Process]") -> "
     session.
     """
     above = find_supervisor(found)
+    if above and found.instance.get("image"):
+        below = proc.find_descendants({above}, table) - {above}
+        return below | _find_in_container(found.folder, table)
     if above and found.instance.get("adopted"):
         return (proc.find_descendants({above}, table) | find_orphans(found, table)) - {above}
     if above:
@@ -103,10 +106,19 @@ def find_orphans(found: InstanceRecord, table: "dict[int, proc.Process]") -> "se
         seeds.add(main)
     if found.locked:
         seeds |= lockfile.find_lock_holders(found.folder, table)
+    seeds |= _find_in_container(found.folder, table)
     # A session id is not reused while any member lives: one known member proves that it is still the task's.
     if any(table[pid].sid == main for pid in seeds):
         seeds |= {pid for pid, each in table.items() if each.sid == main}
     return proc.find_descendants(seeds, table) - {os.getpid()}
+
+
+def _find_in_container(folder: str, table: "dict[int, proc.Process]") -> "set[int]":
+    if not os.path.exists(os.path.join(folder, "container")):
+        return set()
+    from ..containers.record import find_container_processes
+
+    return find_container_processes(folder, table)
 
 
 def may_live(folder: str) -> bool:
@@ -163,6 +175,10 @@ def build_entry(found: InstanceRecord, alive: bool) -> Document:
         "nodes": node_record.list_registered(found.folder),
     }
     document.update(_build_living_fields(found, stated) if alive else _build_dead_fields(found))
+    if alive and instance.get("image"):
+        from ..containers.record import describe_container
+
+        document.update(describe_container(found.folder))
     if document["state"] in protocol.FAILED_STATES:
         document["log_tail"] = _read_last_lines(found.folder)
     return document

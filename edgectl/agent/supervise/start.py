@@ -30,7 +30,7 @@ def start_task(request: Document) -> Document:
         state_dir.check_name(request["task"]),
         request["spec"],
     )
-    task_scope = scope.choose_scope(spec.get("runtime") or "auto", host, task, spec.get("limits"))
+    task_scope = _choose_scope(spec, host, task)
     logind.check_survives_logout()
     status.check_generation(host, task, int(request["generation"]))
     record, alive = status.find_current(host, task)
@@ -47,6 +47,16 @@ def start_task(request: Document) -> Document:
         return _launch_task(folder, lock, request, task_scope)
     finally:
         os.close(lock)
+
+
+def _choose_scope(spec: Document, host: str, task: str) -> scope.Scope:
+    """The scope of the supervisor. A container has a control group of its own, and its limits there."""
+    if spec.get("image"):
+        from ..containers.engine import choose_program
+
+        choose_program(spec["image"].get("engine"))
+        return scope.Scope([], {}, "")
+    return scope.choose_scope(spec.get("runtime") or "auto", host, task, spec.get("limits"))
 
 
 def _has_completed(record: InstanceRecord, instance: str) -> bool:
@@ -93,6 +103,8 @@ def _launch_task(folder: str, lock: int, request: Document, task_scope: scope.Sc
     generation = {"generation": int(request["generation"])}
     records.write_record(os.path.join(folder, "generation"), generation, durable=True)
     records.write_record(os.path.join(folder, "mark"), {})
+    if spec.get("image"):
+        state_dir.reserve_file(os.path.join(folder, "container"), records.RECORD_BYTES)
     role.begin_role(
         folder, spec, str(request["instance"]), str(request.get("role")), generation["generation"]
     )
@@ -124,6 +136,7 @@ def _build_identity(request: Document, spec: Document) -> Document:
         "task": request["task"],
         "generation": int(request["generation"]),
         "spec_hash": str(spec.get("spec_hash", "")),
+        "image": str((spec.get("image") or {}).get("name", ""))[:_MAX_FILE],
         "kind": spec.get("kind", "service"),
         "stop": spec.get("stop") or {},
         "ready_check": bool(spec.get("ready")),

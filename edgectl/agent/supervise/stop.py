@@ -42,12 +42,26 @@ def stop_task(request: Document) -> Document:
     lease_s = float(request.get("lease_s") or 0.0)
     if not wanted:
         graph = _clear_failure(host, task, lease_s) if not alive else {}
-        return _build_stop_reply(protocol.NOT_RUNNING, [], began, graph)
+        left = [] if alive else _remove_containers(host, task)
+        return _build_stop_reply(
+            protocol.STOP_INCOMPLETE if left else protocol.NOT_RUNNING, left, began, graph
+        )
     graph = {}
     left = [pid for record in wanted for pid in _stop_instance(record, request)]
+    left += [] if left else _remove_containers(host, task)
     for record in wanted if not left else ():
         graph = nodes.forget_nodes(record.folder, lease_s) or graph
     return _build_stop_reply(protocol.STOP_INCOMPLETE if left else protocol.STOPPED, left, began, graph)
+
+
+def _remove_containers(host: str, task: str) -> "list[int]":
+    """Remove what its engine still has of a task that has no process; 0 where that cannot be proven."""
+    folders = [each for each in state_dir.find_task_dirs(host, task) if os.path.exists(each + "/container")]
+    if not folders:
+        return []
+    from ..containers.ending import remove_containers
+
+    return [0 for folder in folders if remove_containers(folder)]
 
 
 def forget_task_nodes(request: Document) -> Document:
@@ -139,6 +153,14 @@ def _signal_until_gone(
         pids = liveness.find_processes(record, table)
         empty = 0 if pids else empty + 1
         note(pids)
+        if pids and os.path.exists(record.folder + "/container"):
+            from ..containers.ending import signal_step
+
+            sent |= signal_step(record.folder, number, pids, table, sent)
+            if time.monotonic() >= deadline:
+                return False
+            time.sleep(_SWEEP_S)
+            continue
         targets = (
             pids
             if scope == "tree"

@@ -26,6 +26,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Sequence
 
+    from ..containers.command import ContainerCommand
     from ..measure.latency_tail import LatencyTail
 
 _BLOCK_BYTES = 65536
@@ -63,6 +64,7 @@ class Supervisor:
         name, _, value = liveness.build_cookie(folder).partition("=")
         self.env[name] = value
         self.env["EDGECTL_METRICS"] = metrics.get_metrics_path(folder)
+        self.container = _prepare_container(folder, identity, spec, self.env)
         self.pid, self.ticks, self.pipe, self.started = 0, 0, -1, 0.0
         self.status: Document = {
             "instance": identity["instance"],
@@ -71,11 +73,11 @@ class Supervisor:
             "exit_code": None,
             "last_exit": None,
         }
-        self.status.update(detail="", limits=scope.describe_limits(spec.get("limits"), why))
+        self.status.update(detail="", limits=self._describe_limits(why))
         self.history: "list[float]" = []
         self.next_start: "float | None" = None
         self.stopping, self.code = False, 0
-        self.adopted = False
+        self.adopted = self.resumed = False
         self.fence_s, self.begun, self.next_look = (
             float(spec.get("self_fence_s") or 0.0),
             proc.read_uptime_s(),
@@ -97,8 +99,9 @@ class Supervisor:
         """Run until the task has ended for good."""
         me = proc.read_own_process()
         identity = dict(self.identity, supervisor=me.pid, supervisor_ticks=me.ticks)
-        if self.adopted:
-            identity["adopted"] = True
+        if self.adopted or self.resumed:
+            if self.adopted:
+                identity["adopted"] = True
             records.write_record(os.path.join(self.folder, "instance"), identity, durable=True)
             self._install_handlers()
             self.nodes.begin()
@@ -108,7 +111,8 @@ class Supervisor:
             records.write_record(os.path.join(self.folder, "instance"), identity, durable=True)
             self._install_handlers()
             self._start_command()
-        fast_json.send_document(self.report, {"pid": self.pid, "limits": self.status["limits"]})
+        main = self.pid if self.container is None else self.status["pid"]
+        fast_json.send_document(self.report, {"pid": main, "limits": self.status["limits"]})
         while self.pid or self.next_start is not None:
             self._run_once()
         self.nodes.end(remove=not self.stopping)
@@ -116,6 +120,8 @@ class Supervisor:
 
     def _take_over(self, status: Document) -> None:
         """Continue from the status of an orphan; its processes are no children of this one."""
+        if self.container is not None:
+            return self._resume_container(self.container, status)
         self.adopted, self.code = True, spawn.UNKNOWN_EXIT
         self.status.update(status, detail=_ADOPTED)
         self.pid, self.ticks = int(status.get("pid", 0)), int(status.get("ticks", -1))
@@ -125,6 +131,27 @@ class Supervisor:
             self.activation.adopt(self.pid, self.ticks, status)
         if status.get("state") == protocol.STARTING and self._is_active():
             self.ready.begin()
+        return None
+
+    def _resume_container(self, container: "ContainerCommand", status: Document) -> None:
+        """Follow the container of an orphan by a runner of our own, which has the lock."""
+        self.status.update(status, detail="")
+        self.pid, self.pipe = container.resume(self.lock)
+        self.resumed = True
+        pid, self.ticks = container.main
+        self.started = time.monotonic() - proc.age_s_from_ticks(self.ticks)
+        self.log.begin_run()
+        if self.activation.rule:
+            self.activation.adopt(pid, self.ticks, status)
+        if status.get("state") == protocol.STARTING and self._is_active():
+            self.ready.begin()
+
+    def _describe_limits(self, why: str) -> str:
+        limits = self.spec.get("limits")
+        if self.container is None:
+            return scope.describe_limits(limits, why)
+        # The engine refuses to start a container whose limits it cannot set.
+        return "enforced" if any((limits or {}).values()) else ""
 
     def _install_handlers(self) -> None:
         for fd in (self.wake, self._wake_end):
@@ -158,40 +185,78 @@ class Supervisor:
             self.lock = lockfile.take_lock(self.folder)
             if self.lock < 0:
                 raise OSError("the lock of the task is held by a process that it left")
-        self.adopted = False
+        self.adopted = self.resumed = False
+        if self.container is not None:
+            return self._start_container(self.container)
         setup = (self.spec.get("ros") or {}).get("setup") or ()
         argv = shell.build_argv(self.spec["command"], self.spec.get("prelude") or "", setup)
         self.pid, self.pipe = spawn.spawn_command(argv, self.env, self.spec.get("workdir"), self.lock)
         self.log.begin_run()
         process = proc.read_process(self.pid)
-        self.ticks, self.started = process.ticks if process is not None else -1, time.monotonic()
+        return self._begin_run(self.pid, process.ticks if process is not None else -1)
+
+    def _start_container(self, container: "ContainerCommand") -> None:
+        """Start the container; at the first start only once it runs, later its note says when."""
+        first = not self.status["restarts"]
+        self.pid, self.pipe = container.start(self.lock, patient=not first)
+        self.log.begin_run()
+        if first:
+            return self._begin_run(*container.main)
+        self.started = time.monotonic()
+        return self._record_status(state=protocol.STARTING, pid=0, detail="")
+
+    def _begin_run(self, pid: int, ticks: int) -> None:
+        """Begin the checks of what was just started, and record it."""
+        self.ticks, self.started = ticks, time.monotonic()
         self.nodes.begin()
         if self.activation.rule:
-            self.activation.begin(self.pid, self.ticks)
+            self.activation.begin(pid, ticks)
             self.status.update(prepared=False, active=False)
         else:
             self.ready.begin()
         waits = self.activation.rule or self.spec.get("ready")
         self._record_status(
             state=protocol.STARTING if waits else protocol.RUNNING,
-            pid=self.pid,
-            ticks=self.ticks,
+            pid=pid,
+            ticks=ticks,
             exit_code=None,
             detail="",
         )
 
-    def _run_once(self) -> None:
-        """Wait for the next event and handle it."""
+    def _hear_runner(self) -> None:
+        """Record what the runner of a container has to say."""
+        for note in self.container.read_notes() if self.container is not None else ():
+            if note["event"] == "started" and not self.status["pid"]:
+                self._begin_run(int(note["pid"]), int(note["ticks"]))
+            elif note["event"] == "lost":
+                from ..containers.command import describe_loss
+
+                self.log.write(("edgectl: %s\n" % describe_loss(note)).encode())
+                self._record_status(detail=describe_loss(note))
+            elif note["event"] == "back":
+                self.log.write(b"edgectl: the container engine answers again\n")
+                self._record_status(detail="")
+
+    def _await_event(self) -> None:
+        """Wait for output, a signal or the time of a check; take in what there is to read."""
         poll = select.poll()
         poll.register(self.wake, select.POLLIN)
         if self.pipe >= 0:
             poll.register(self.pipe, select.POLLIN)
+        if self.container is not None and self.container.notes >= 0:
+            poll.register(self.container.notes, select.POLLIN)
         for fd, _ in poll.poll(self._compute_poll_ms()):
             if fd == self.pipe:
                 self._copy_output()
+            elif fd != self.wake:
+                self._hear_runner()
             else:
                 _drain_fd(fd)
                 self.activation.look()
+
+    def _run_once(self) -> None:
+        """Wait for the next event and handle it."""
+        self._await_event()
         # Before the children are reaped: the process of a check that has ended stands in their way.
         self._follow_role()
         self._ask_readiness()
@@ -282,6 +347,8 @@ class Supervisor:
         self.activation.cancel()
 
     def _find_main_process(self) -> int:
+        if self.container is not None:
+            return self.container.main[0]
         return signals.find_main_process(self.pid, proc.read_process_table())
 
     def _is_active(self) -> bool:
@@ -368,6 +435,9 @@ class Supervisor:
         self._cancel_checks()
         left = self._end_tree(_LEFTOVERS)
         outcome = spawn.describe_exit(code)
+        if self.container is not None:
+            self.container.read_notes()
+            outcome["detail"] = self.container.detail or outcome["detail"]
         self.status["last_exit"] = outcome["exit_code"]
         if self.stopping or (not left and self._is_leaving()):
             return self._record_status(state=protocol.STOPPED, pid=0, left=left, **outcome)
@@ -486,6 +556,8 @@ class Supervisor:
         left = proc.find_descendants({os.getpid()}, table)
         if self.adopted:
             left |= liveness.find_orphans(liveness.read_instance(self.folder), table)
+        if self.container is not None:
+            left |= self.container.find_processes(table)
         return left - {os.getpid()}
 
     def _signal_step(
@@ -499,6 +571,8 @@ class Supervisor:
 
         The main process gets its signal once, newcomers of the tree get it too.
         """
+        if self.container is not None:
+            return self.container.signal_step(signals.parse_signal(step[0]), left, table, sent)
         if step[1] == "main":
             left = set() if sent else {signals.find_main_process(self.pid, table)} & left
         return signals.send_signals(
@@ -511,6 +585,19 @@ class Supervisor:
         while self.pipe >= 0 and select.select([self.pipe], [], [], max(0.0, deadline - time.monotonic()))[0]:
             self._copy_output()
         time.sleep(max(0.0, deadline - time.monotonic()))
+
+
+def _prepare_container(
+    folder: str, identity: Document, spec: Document, env: "dict[str, str]"
+) -> "ContainerCommand | None":
+    """Prepare the container of a task that has one; its name is among the variables of its checks."""
+    if not spec.get("image"):
+        return None
+    from ..containers.command import ContainerCommand
+    from ..containers.create import NAME_VARIABLE, build_container_name
+
+    env[NAME_VARIABLE] = build_container_name(identity["fleet"], identity["host"], identity["task"])
+    return ContainerCommand(folder, identity, spec)
 
 
 def _draw_jitter() -> float:

@@ -51,6 +51,10 @@ def take_over_task(request: Document) -> Document:
 
         spec = fill_request(spec)
         start_helpers(spec, host)
+    if spec.get("image"):
+        from ..containers.ending import end_followers
+
+        end_followers(record.folder)
     lock = lockfile.take_lock(record.folder)
     try:
         report = launch_takeover(record, lock, guard, spec)

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Record of the container of a task, beside its other records, and the processes in that container.
+
+The engine starts a container, so it is in no process tree of ours; the id of the container, which the kernel
+has in the control group of each of its processes, tells them from all others.
+"""
+
+import os
+
+from ..link.fast_json import Document
+from ..measure import proc
+from ..supervise import records
+
+FILE_NAME = "container"
+_ID_LENGTH = 64
+
+
+def has_container(folder: str) -> bool:
+    """Whether the task in ``folder`` ever ran in a container."""
+    return os.path.exists(os.path.join(folder, FILE_NAME))
+
+
+def read_container(folder: str) -> Document:
+    """Read the record: ``id``, ``name`` and ``program`` of the engine; ``pid`` and ``ticks`` of its first
+    process once it was started; ``lost`` while the engine does not answer. Empty without a container.
+    """
+    return records.read_record(os.path.join(folder, FILE_NAME))
+
+
+def write_container(folder: str, document: Document, *, durable: bool = False) -> None:
+    """Replace the record."""
+    records.write_record(os.path.join(folder, FILE_NAME), document, durable=durable)
+
+
+def describe_container(folder: str) -> Document:
+    """Describe the container of a living task for its entry: ``engine`` and ``container``, its name."""
+    found = read_container(folder)
+    return {
+        "engine": os.path.basename(str(found.get("program") or "")),
+        "container": str(found.get("name") or "") if found.get("id") else "",
+    }
+
+
+def find_container_processes(folder: str, table: "dict[int, proc.Process]") -> "set[int]":
+    """Find the processes in the container of the task in ``folder``."""
+    return find_processes_by_id(str(read_container(folder).get("id") or ""), table)
+
+
+def find_processes_by_id(container_id: str, table: "dict[int, proc.Process]") -> "set[int]":
+    """Find the processes whose control group is that of the container, or below it."""
+    if len(container_id) != _ID_LENGTH:
+        return set()
+    # podman has a group of its own for the process that watches the container.
+    word, watcher = container_id.encode(), b"conmon-" + container_id.encode()
+    groups = ((pid, proc.read_file("/proc/%d/cgroup" % pid)) for pid in table)
+    return {pid for pid, text in groups if word in text and watcher not in text}
+
+
+def find_first_process(pids: "set[int]", table: "dict[int, proc.Process]") -> "tuple[int, int]":
+    """Find (pid, start ticks) of the process that the engine started; (0, -1) where there is none."""
+    above = [pid for pid in pids if pid in table and table[pid].ppid not in pids]
+    if not above:
+        return 0, -1
+    first = min(above, key=lambda pid: (table[pid].ticks, pid))
+    return first, table[first].ticks

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Readers of the container image of a task; the table of its keys."""
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from edgectl.config.fields import list_reader, read_environment, record_reader
+from edgectl.config.node import Node
+from edgectl.config.problems import ProblemCode, Problems
+from edgectl.config.scalars import INVALID, NodeReader, enum_reader, integer_reader, read_text
+from edgectl.config.schema import build_object_schema, describe_as, describe_reader, get_reader_schema
+from edgectl.model.image import ContainerEngine, ContainerImage, PullPolicy
+
+_REFERENCE_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._/:@-]{0,254}")
+# A placeholder may be part of these; a leading - would be an option of the engine.
+_DEVICE_PATTERN = re.compile(r"/[^\s,:]+(?::[^\s,:]+){0,2}|[a-z0-9][\w.-]*/[\w.-]+=[\w.:-]+")
+_VOLUME_PATTERN = re.compile(r"(?:[/~{]|[A-Za-z0-9])[^:]*:[/{][^:]*(?::[A-Za-z,]+)?")
+_WORD_PATTERN = re.compile(r"[A-Za-z0-9{][A-Za-z0-9._:/{}-]*")
+_OPTION_PATTERN = re.compile(r"--?([A-Za-z][a-z-]*)(?:=.*)?", re.DOTALL)
+# Options by which edgectl finds, follows and ends its containers.
+_OWN_OPTIONS = (
+    *("name", "cidfile", "rm", "restart", "init", "log-driver", "pull", "detach-keys", "stop-signal"),
+    *("d", "detach", "i", "interactive", "t", "tty", "cgroupns", "cgroup-parent", "pid"),
+)
+
+
+def _text_reader(pattern: re.Pattern[str], what: str, hint: str) -> NodeReader:
+    """A text of a form; ``what`` it is not, otherwise."""
+
+    def read(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+        value = read_text(node, problems)
+        if isinstance(value, str) and not pattern.fullmatch(value):
+            problems.add(node.mark, ProblemCode.TEXT, f"{value!r} is no {what}", hint)
+            return INVALID
+        return value
+
+    return describe_reader(read, lambda: {"type": "string", "pattern": f"^(?:{pattern.pattern})$"})
+
+
+read_reference = _text_reader(
+    _REFERENCE_PATTERN,
+    "name of an image",
+    "write a name such as ros:jazzy, or registry.lab:5000/slam@sha256:..",
+)
+
+
+@describe_as(lambda: {"anyOf": [{"const": "all"}, {"type": "integer", "minimum": 1, "maximum": 64}]})
+def _read_gpus(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    """The word ``all``, or how many."""
+    if node.value == "all":
+        return "all"
+    number = integer_reader(1, 64)(node, problems)
+    return number if number is INVALID else str(number)
+
+
+@describe_as(lambda: {"type": "string", "pattern": "^-"})
+def _read_option(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    """One option of the engine with its value, as one word."""
+    value = read_text(node, problems)
+    if not isinstance(value, str):
+        return value
+    found = _OPTION_PATTERN.fullmatch(value)
+    if found is None:
+        hint = "write options with their values as one word: --shm-size=1g"
+        problems.add(node.mark, ProblemCode.TEXT, f"{value!r} is no option of the engine", hint)
+        return INVALID
+    if found[1] in _OWN_OPTIONS:
+        message = f"{value.partition('=')[0]} is an option that edgectl sets itself"
+        problems.add(node.mark, ProblemCode.CONTRADICTION, message, "remove it")
+        return INVALID
+    return value
+
+
+@describe_as(
+    lambda: {"anyOf": [get_reader_schema(read_reference), build_object_schema(IMAGE_KEYS, ("name",))]}
+)
+def read_image(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    """The image of a task: its name, or a mapping."""
+    if isinstance(node.value, dict):
+        return record_reader(IMAGE_KEYS, ContainerImage, "image", ("name",))(node, problems)
+    name = read_reference(node, problems)
+    return name if name is INVALID else ContainerImage(name=name)
+
+
+IMAGE_KEYS: Mapping[str, NodeReader] = {
+    "name": read_reference,
+    "engine": enum_reader(ContainerEngine),
+    "gpus": _read_gpus,
+    "devices": list_reader(
+        _text_reader(_DEVICE_PATTERN, "device", "write /dev/video0, or /dev/video0:/dev/camera")
+    ),
+    "volumes": list_reader(
+        _text_reader(_VOLUME_PATTERN, "volume", "write /srv/maps:/maps, /srv/maps:/maps:ro, or NAME:/maps")
+    ),
+    "env": read_environment,
+    "user": _text_reader(_WORD_PATTERN, "user", 'write a name, or "1000:1000"'),
+    "network": _text_reader(_WORD_PATTERN, "network", "write host, bridge, none, or the name of a network"),
+    "ipc": _text_reader(_WORD_PATTERN, "IPC namespace", "write host, private, shareable or none"),
+    "pull": enum_reader(PullPolicy),
+    "args": list_reader(_read_option),
+}
