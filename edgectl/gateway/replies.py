@@ -207,7 +207,7 @@ class ProbeReply:
     unowned: Annotated[tuple[Text, ...], ALONE] = ()
     former: Annotated[tuple[Text, ...], ALONE] = ()
     totals: TotalsReply | None = None
-    engines: Annotated[tuple[Text, ...] | None, ALONE] = None
+    engines: Annotated[tuple[Text, ...], ALONE] | None = None
 
 
 # Usage of a task and of a profiler, capacity and usage of each resource of a device, under the keys of the
