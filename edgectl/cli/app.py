@@ -124,6 +124,7 @@ COMMANDS = {
     "import paper": CommandEntry(
         "cli.import_", "Files", "Make tasks of a requirement file of the paper's authors."
     ),
+    "import compose": CommandEntry("cli.import_", "Files", "Make tasks of a compose file."),
     "export prometheus": CommandEntry(
         "cli.export", "Files", "Export measurements and decisions as Prometheus metrics."
     ),
