@@ -96,7 +96,9 @@ def make_tasks(tmp_path: Path, text: str = TASKS, image: str | None = None) -> l
     found = load_inventory_and_tasks(tmp_path / "inventory.yaml", [tmp_path / "tasks.yaml"])
     inventory, tasks = found[0], found[1]
     # No host has a container engine that edgectl could use: another engine runs the tasks.
-    samples = {host.name: replace(a_sample(links={"robot1": a_link()}), engines=()) for host in inventory.edges}
+    samples = {
+        host.name: replace(a_sample(links={"robot1": a_link()}), engines=()) for host in inventory.edges
+    }
     snapshot = a_snapshot(samples, memory=ManagerState())
     fleet = Fleet(inventory=inventory, tasks=tasks, transport=FakeTransport({}), state=tmp_path)
     plan = plan_for_engine(fleet, snapshot)
