@@ -24,7 +24,7 @@ _IDLE_COLUMNS = (3, 4)
 _BUSY_COLUMNS = 8
 # Jetson: /sys/devices/gpu.0/load (JetPack 4), platform/17000000.gpu/load (5),
 # platform/bus@0/17000000.gpu/load (6).
-GPU_FOLDERS = ("/sys/devices", "/sys/devices/platform", "/sys/devices/platform/bus@0")
+_GPU_FOLDERS = ("/sys/devices", "/sys/devices/platform", "/sys/devices/platform/bus@0")
 _HARDWARE_FOLDERS = ("/sys/class/hwmon", "/sys/class/powercap", "/sys/class/power_supply")
 
 
@@ -147,14 +147,14 @@ def read_load_1m() -> float:
 
 def read_temperature_c(root: str = "") -> "float | None":
     """Read the hottest plausible sensor in degrees Celsius; None where the host shows none."""
-    texts = [(path, read_text(path)) for path in _list_sensor_files(root)]
+    texts = [(path, proc.read_text(path)) for path in _list_sensor_files(root)]
     found = [
         int(text) / 1000.0
         for path, text in texts
         if text.lstrip("-").isdigit() and not (text == "100000" and _is_constant(path))
     ]
     # psutil knows more places of sensors; without a chip there is none.
-    psutil = import_psutil() if not found and not root and list_folder("/sys/class/hwmon") else None
+    psutil = import_psutil() if not found and not root and proc.list_folder("/sys/class/hwmon") else None
     if psutil is not None:
         found = _read_psutil_temperatures(psutil)
     plausible = [value for value in found if 0.0 < value < 150.0]
@@ -163,23 +163,19 @@ def read_temperature_c(root: str = "") -> "float | None":
 
 def _is_constant(path: str) -> bool:
     """Whether a sensor is the one of Jetsons that states 100 degrees, whatever it is."""
-    return read_text(os.path.dirname(path) + "/type") == "PMIC-Die"
+    return proc.read_text(os.path.dirname(path) + "/type") == "PMIC-Die"
 
 
 def _list_sensor_files(root: str) -> "list[str]":
-    zones = ["%s/temp" % zone for zone in list_folder(root + "/sys/class/thermal", "thermal_zone")]
-    chips = [file for chip in list_folder(root + "/sys/class/hwmon") for file in list_folder(chip, "temp")]
+    zones = ["%s/temp" % zone for zone in proc.list_folder(root + "/sys/class/thermal", "thermal_zone")]
+    chips = [
+        file
+        for chip in proc.list_folder(root + "/sys/class/hwmon")
+        for file in proc.list_folder(chip, "temp")
+    ]
     return zones + [
         file for file in chips if os.path.basename(file).startswith("temp") and file.endswith("_input")
     ]
-
-
-def list_folder(folder: str, part: str = "") -> "list[str]":
-    """List the paths in ``folder`` with ``part`` in their names."""
-    try:
-        return sorted(folder + "/" + name for name in os.listdir(folder) if part in name)
-    except OSError:
-        return []
 
 
 def _read_psutil_temperatures(psutil: "ModuleType") -> "list[float]":
@@ -189,22 +185,15 @@ def _read_psutil_temperatures(psutil: "ModuleType") -> "list[float]":
         return []
 
 
-def read_text(path: str) -> str:
-    """Read a file of one value; empty where there is none."""
-    return proc.read_file(path).decode("ascii", "replace").strip()
-
-
 def start_hardware_meter(root: str = "") -> "HardwareMeter | None":
     """Start the meter of GPU, power and battery; None where no folder shows any of them."""
-    if not (
-        any(list_folder(root + folder) for folder in _HARDWARE_FOLDERS)
-        or any(list_folder(root + folder, "gpu") for folder in GPU_FOLDERS)
-        or has_nvidia_smi()
-    ):
+    gpus = [path for folder in _GPU_FOLDERS for path in proc.list_folder(root + folder, "gpu")]
+    has_tool = _has_nvidia_smi()
+    if not (gpus or has_tool or any(proc.list_folder(root + folder) for folder in _HARDWARE_FOLDERS)):
         return None
     from .hardware import HardwareMeter
 
-    return HardwareMeter(root)
+    return HardwareMeter(root, gpus, read_machine_memory, has_tool)
 
 
 def measure_hardware(meter: "HardwareMeter | None") -> "dict[str, Any]":
@@ -212,7 +201,7 @@ def measure_hardware(meter: "HardwareMeter | None") -> "dict[str, Any]":
     return {"gpu_share": None} if meter is None else meter.measure()
 
 
-def has_nvidia_smi() -> bool:
+def _has_nvidia_smi() -> bool:
     """Whether the tool of NVIDIA's driver is installed."""
     folders = os.environ.get("PATH", os.defpath).split(os.pathsep)
     return any(os.access(os.path.join(folder, "nvidia-smi"), os.X_OK) for folder in folders)

@@ -9,11 +9,11 @@ discharging, else the sum of processor packages (RAPL), sensors and graphics car
 import os
 import time
 
-from . import device
+from . import proc
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import Any
+    from typing import Any, Callable
 
 # Of JetPack 4; later ones have the sensor among those of hwmon.
 _INA_FOLDER = "/sys/bus/i2c/drivers/ina3221x"
@@ -25,15 +25,18 @@ _NVIDIA_COLUMNS = "utilization.gpu,memory.used,memory.total,power.draw"
 class HardwareMeter:
     """Meter of GPU, power and battery; the power of processors is that since the last measurement."""
 
-    def __init__(self, root: str = "") -> None:
-        self.root = root
+    def __init__(
+        self, root: str, gpus: "list[str]", read_memory: "Callable[[], tuple[int, int]]", has_tool: bool
+    ) -> None:
+        """``gpus``: folders of a Jetson's; ``read_memory``: of the host; ``has_tool``: of NVIDIA's driver."""
+        self.root, self.gpus, self.read_memory, self.has_tool = root, gpus, read_memory, has_tool
         self.start = time.monotonic(), _read_package_energies(root)
 
     def measure(self) -> "dict[str, Any]":
         """Measure ``gpu_share`` (None without a GPU), and under the names of the resources what is there."""
         (since, before), self.start = self.start, (time.monotonic(), _read_package_energies(self.root))
         packages = _compute_watts(before, self.start[1], self.start[0] - since)
-        found, card_watts = read_gpu(self.root)
+        found, card_watts = self._read_gpu()
         watts = read_power(self.root, packages + card_watts)
         if watts is not None:
             found["power"] = {"used_watts": round(watts, 3)}
@@ -44,18 +47,16 @@ class HardwareMeter:
         found["gpu_share"] = None if gpu is None else min(1.0, gpu["used_gpus"] / gpu["gpus"])
         return found
 
-
-def read_gpu(root: str = "") -> "tuple[dict[str, Any], list[float]]":
-    """Read (number, use and memory of the GPUs; empty without any, the watts of each card)."""
-    for path in [path for folder in device.GPU_FOLDERS for path in device.list_folder(root + folder, "gpu")]:
-        text = device.read_text(path + "/load")
-        if text.isdigit():
-            total, used = device.read_machine_memory()
-            return {
-                "gpu": {"gpus": 1.0, "used_gpus": min(1.0, int(text) / 1000.0)},
-                "gpu_memory": {"gpu_total_bytes": total, "gpu_used_bytes": used},
-            }, []
-    return _read_nvidia() if device.has_nvidia_smi() else ({}, [])
+    def _read_gpu(self) -> "tuple[dict[str, Any], list[float]]":
+        """Read (number, use and memory of the GPUs; empty without any, the watts of each card)."""
+        for text in [proc.read_text(path + "/load") for path in self.gpus]:
+            if text.isdigit():
+                total, used = self.read_memory()
+                return {
+                    "gpu": {"gpus": 1.0, "used_gpus": min(1.0, int(text) / 1000.0)},
+                    "gpu_memory": {"gpu_total_bytes": total, "gpu_used_bytes": used},
+                }, []
+        return _read_nvidia() if self.has_tool else ({}, [])
 
 
 def _read_nvidia() -> "tuple[dict[str, Any], list[float]]":
@@ -108,10 +109,10 @@ def read_power(root: str, parts: "list[float]") -> "float | None":
 def _read_jetson_rails(root: str) -> "list[tuple[str, float]]":
     """Read (name, watts) of the rails of a Jetson under JetPack 4."""
     rails = []
-    for chip in device.list_folder(root + _INA_FOLDER, "-"):
-        for folder in device.list_folder(chip, "iio:device"):
+    for chip in proc.list_folder(root + _INA_FOLDER, "-"):
+        for folder in proc.list_folder(chip, "iio:device"):
             for number in range(3):
-                name = device.read_text("%s/rail_name_%d" % (folder, number))
+                name = proc.read_text("%s/rail_name_%d" % (folder, number))
                 milliwatts = _read_number("%s/in_power%d_input" % (folder, number))
                 if name and milliwatts is not None:
                     rails.append((name, milliwatts / 1000.0))
@@ -121,8 +122,8 @@ def _read_jetson_rails(root: str) -> "list[tuple[str, float]]":
 def _read_hwmon_rails(root: str) -> "list[tuple[str, float]]":
     """Read (name, watts) of the sensors of hwmon: of power, or of voltage and current of one channel."""
     rails = []
-    for chip in device.list_folder(root + "/sys/class/hwmon"):
-        files = {os.path.basename(path) for path in device.list_folder(chip)}
+    for chip in proc.list_folder(root + "/sys/class/hwmon"):
+        files = {os.path.basename(path) for path in proc.list_folder(chip)}
         for name in sorted(files):
             if name in ("power1_input", "power1_average"):
                 microwatts = _read_number("%s/%s" % (chip, name))
@@ -130,7 +131,7 @@ def _read_hwmon_rails(root: str) -> "list[tuple[str, float]]":
             if not (name.startswith("curr") and name.endswith("_input")):
                 continue
             number = name[len("curr") : -len("_input")]
-            label = device.read_text("%s/in%s_label" % (chip, number))
+            label = proc.read_text("%s/in%s_label" % (chip, number))
             volts = _read_number("%s/in%s_input" % (chip, number))
             amperes = _read_number("%s/%s" % (chip, name))
             if label and volts is not None and amperes is not None:
@@ -141,12 +142,12 @@ def _read_hwmon_rails(root: str) -> "list[tuple[str, float]]":
 def _read_package_energies(root: str) -> "dict[str, tuple[float, float]]":
     """Read (microjoules, where the counter begins anew) by processor package; only root may, as a rule."""
     found = {}
-    for zone in device.list_folder(root + "/sys/class/powercap", ":"):
+    for zone in proc.list_folder(root + "/sys/class/powercap", ":"):
         # intel-rapl:0 is a package, intel-rapl:0:1 a part of it; AMD's have the same names.
         if os.path.basename(zone).count(":") != 1 or "mmio" in zone:
             continue
         energy = _read_number(zone + "/energy_uj")
-        if energy is not None and device.read_text(zone + "/name") != "psys":
+        if energy is not None and proc.read_text(zone + "/name") != "psys":
             found[zone] = energy, _read_number(zone + "/max_energy_range_uj") or 0.0
     return found
 
@@ -168,8 +169,8 @@ def _list_batteries(root: str) -> "list[str]":
     """List the batteries of the host, without those of a mouse or a pen."""
     return [
         supply
-        for supply in device.list_folder(root + "/sys/class/power_supply")
-        if device.read_text(supply + "/type") == "Battery" and device.read_text(supply + "/scope") != "Device"
+        for supply in proc.list_folder(root + "/sys/class/power_supply")
+        if proc.read_text(supply + "/type") == "Battery" and proc.read_text(supply + "/scope") != "Device"
     ]
 
 
@@ -184,7 +185,7 @@ def _read_discharge(root: str) -> "float | None":
     """Read the watts that batteries give; None where none does."""
     found = []
     for supply in _list_batteries(root):
-        if device.read_text(supply + "/status") != "Discharging":
+        if proc.read_text(supply + "/status") != "Discharging":
             continue
         microwatts = _read_number(supply + "/power_now")
         if microwatts is None:
@@ -196,5 +197,5 @@ def _read_discharge(root: str) -> "float | None":
 
 def _read_number(path: str) -> "float | None":
     """Read a number, without its sign: some batteries state what they give as negative."""
-    text = device.read_text(path).lstrip("-")
+    text = proc.read_text(path).lstrip("-")
     return float(text) if text.isdigit() else None
