@@ -70,13 +70,14 @@ class Host:
 
     ``fleet`` is the owner of what this inventory runs there: requests carry it, and the host keeps the tasks
     of different fleets apart. ``ros``: what its nodes need to find others; None where nothing is known of it.
+    ``max_temperature`` (degrees Celsius): near it the host has fewer usable cores.
 
     ``host`` is an address or an ssh_config alias. A declared ``capacity`` of what is measured otherwise makes
     the host a slice: its load is ``base`` plus its own process trees. ``onboard`` (robots) makes the robot a
     candidate for its own tasks; ``probe: false`` means that it is never contacted. ``password_command`` is an
     argument vector whose first line of output is the password; ``env_command`` one that prints secrets for
     the environment as lines NAME=value. ``transport`` names a plugin that connects, instead of
-    ``connection``. ``max_temperature`` (degrees Celsius): near it the host has fewer usable cores.
+    ``connection``.
     """
 
     name: str

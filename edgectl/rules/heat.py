@@ -1,23 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Usable capacity of a host by its limits, of which heat takes a part (ADR 156)."""
+"""Share of processors and GPU that is usable on a hot host (ADR 156)."""
 
 from edgectl.model.inventory import Host
-from edgectl.model.resource import CPU, GPU, NOTHING
 from edgectl.model.snapshot import HostSample
 
 # Over so many degrees below the highest temperature the capacity falls, in a line, to the least share.
 HEAT_RANGE_C, LEAST_COOL_SHARE = 15.0, 0.25
-_HEATING = frozenset((CPU.name, GPU.name))
-
-
-def limit_capacity(capacity: float, host: Host, sample: HostSample | None, resource: str) -> float:
-    """What is usable of ``capacity`` under the limits of ``host`` and at the temperature that it shows."""
-    if capacity == NOTHING:
-        return capacity
-    usable = capacity * host.limits[resource]
-    if host.max_temperature is None or resource not in _HEATING:
-        return usable
-    return usable * compute_cool_share(host, sample)
 
 
 def compute_cool_share(host: Host, sample: HostSample | None) -> float:

@@ -10,10 +10,9 @@ from edgectl.model.assignment import Rejection, RejectionRule
 from edgectl.model.demand import Demand
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
-from edgectl.model.resource import HOST_RESOURCES, NOTHING, Resource
+from edgectl.model.resource import CPU, GPU, HOST_RESOURCES, NOTHING, Resource
 from edgectl.model.snapshot import HostSample, Snapshot
 from edgectl.names import natural_key
-from edgectl.rules.heat import limit_capacity
 from edgectl.rules.slack import compute_slack
 from edgectl.scheduler.task_usage import TaskUsage
 
@@ -110,7 +109,7 @@ def build_capacities(
         raw=raw,
         usable={
             name: tuple(
-                limit_capacity(capacity, host, sample, name)
+                _limit_capacity(capacity, host, sample, name)
                 for capacity, host, sample in zip(row, places, samples, strict=True)
             )
             for name, row in raw.items()
@@ -139,6 +138,18 @@ def _resolve_capacity(host: Host, sample: HostSample | None, resource: Resource)
     seen = sample.usage.get(resource.name)
     none = resource.absent if resource.optional else 0.0
     return none if seen is None else declared or seen.capacity
+
+
+def _limit_capacity(capacity: float, host: Host, sample: HostSample | None, resource: str) -> float:
+    """What is usable of ``capacity`` under the limits of ``host``, of which heat takes a part."""
+    if capacity == NOTHING:
+        return capacity
+    usable = capacity * host.limits[resource]
+    if host.max_temperature is None or resource not in (CPU.name, GPU.name):
+        return usable
+    from edgectl.rules.heat import compute_cool_share
+
+    return usable * compute_cool_share(host, sample)
 
 
 def _resolve_link(
