@@ -143,6 +143,13 @@ class DockerEngine:
         assert self.process is not None
         self.process.kill()
         self.process.wait(patience(_START_S))
+        # The kernel has killed it with its parent; where nobody reaps it, its pid would look alive to the next engine.
+        for pid, line in self.list_processes().items():
+            if line.startswith("containerd "):
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+        for name in ("containerd.pid", "containerd.sock", "containerd.sock.ttrpc"):
+            (self.folder / "exec/containerd" / name).unlink(missing_ok=True)
 
     def list_processes(self) -> dict[int, str]:
         """Engine, containerd, shims and containers that live, with their command lines."""
