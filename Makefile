@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: docs image browser engines containers sensitivity latency handoffs ros ros-whole throughput quality demo experiment evaluation test test-fast check style setup audit bench faults fuzz soak clean
+.PHONY: docs versions image model browser engines containers sensitivity latency handoffs ros ros-whole throughput quality demo experiment evaluation test test-fast check style setup audit bench faults fuzz soak clean
 PY := .venv/bin/python
 export PYTHON
 
@@ -32,6 +32,7 @@ test: style
 	@.ci/need-etcd
 	@.ci/need-docker
 	@.ci/need-shells
+	@.ci/need-tlc
 	@PATH="$$PATH:/usr/sbin:/sbin" .ci/with-types $(PY) -m tests.suite tests --ignore=tests/benchmarks --ignore=tests/ros --ignore=tests/engines --ignore=tests/browser --ignore=tests/containers/test_lifecycle.py --ignore=tests/containers/test_losses.py --ignore=tests/containers/test_apply.py -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 # Tests without real hosts: rules, files, documents, views, and simulated fleets.
@@ -41,6 +42,14 @@ test-fast: setup
 	@.ci/need-schemas
 	@.ci/need-etcd
 	@$(PY) -m tests.suite $(PURE:%=tests/%) -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
+
+# The fast suite with each other Python that is here (3.12 to 3.14), and with every dependency at the floor that pyproject.toml
+# states: .ci/pythons and .ci/lowest make environments of their own.
+versions: setup
+	@.ci/need-promtool
+	@.ci/need-etcd
+	@.ci/pythons $(PURE:%=tests/%) -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
+	@.ci/lowest $(PURE:%=tests/%) -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
 
 # On a real ROS 1, out of Debian's packages, and rclpy of ROS 2, which are installed where they are missing; without them this fails.
 # make ros LAUNCH=all imports and runs all launch files of the tests, not two of them: five minutes more.
@@ -128,6 +137,14 @@ experiment: setup
 	@.ci/need-faults
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.experiments.lab --repetitions $(or $(REPETITIONS),3)
 
+# Every state of docs/model in several bounds, and traces of faults on real hosts against it: the tables of docs/model/README.md.
+# Some twenty minutes; a short form runs in the suite.
+model: setup
+	@.ci/need-tlc
+	@.ci/need-etcd
+	@.ci/need-faults
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.protocol --seed $(or $(SEED),1)
+
 # The documentation site in .site, strictly: a dead link or a page outside of the navigation fails.
 docs: setup
 	@.venv/bin/zensical build --strict --clean -f .mkdocs.yml
@@ -142,4 +159,4 @@ evaluation: setup
 	@$(PY) -m tests.docs.evaluation
 
 clean:
-	rm -rf .site .venv .venv-ros2 .venv-cyclone .venv-engines .pytest_cache .mypy_cache .ruff_cache .hypothesis dist build
+	rm -rf .site .venv .venv-3.* .venv-lowest .venv-ros2 .venv-cyclone .venv-engines .pytest_cache .mypy_cache .ruff_cache .hypothesis dist build

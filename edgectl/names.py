@@ -28,23 +28,23 @@ def format_alternatives(words: Sequence[str]) -> str:
     return " or ".join(part for part in (", ".join(words[:-1]), *words[-1:]) if part)
 
 
-def check_known_names(names: Iterable[str], among: Iterable[str], what: str) -> None:
-    """Check that every name exists; ``what`` names their kind.
+def check_known_names(names: Iterable[str], among: Iterable[str], what: str, *, every: bool = False) -> None:
+    """Check that every name exists; ``what`` names their kind. ``every``: list all of them, however many.
 
     Raises:
         UsageError: a name is unknown; the hint suggests the nearest name, or lists the known ones.
     """
-    every = list(dict.fromkeys(among))
+    known = list(dict.fromkeys(among))
     for name in names:
-        if name not in every:
-            match = suggest_name(name, every) or next(
-                (each for each in every if name and each.startswith(name)), ""
+        if name not in known:
+            match = suggest_name(name, known) or next(
+                (each for each in known if name and each.startswith(name)), ""
             )
             hint = (
                 f"did you mean {match}?"
                 if match
-                else f"known: {format_name_list(every)}"
-                if every
+                else f"known: {', '.join(known) if every else format_name_list(known)}"
+                if known
                 else f"there is no {what}"
             )
             raise UsageError(f"unknown {what} {name!r}", hint=hint)

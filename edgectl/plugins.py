@@ -16,11 +16,13 @@ class PluginGroup(StrEnum):
     CHECKS = "edgectl.checks"
     TRANSPORTS = "edgectl.transports"
     NOTIFIERS = "edgectl.notifiers"
+    TERMS = "edgectl.terms"
+    POLICIES = "edgectl.policies"
 
     @property
     def word(self) -> str:
         """One plugin of the group in a message."""
-        return self.name.lower().removesuffix("s")
+        return {"POLICIES": "policy"}.get(self.name, self.name.lower().removesuffix("s"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,7 +64,7 @@ def load_plugin(group: PluginGroup, name: str) -> Plugin:
     """
     found = [point for point in _list_entry_points(group) if point.name == name]
     if not found:
-        known = sorted({point.name for point in _list_entry_points(group)})
+        known = list_plugin_names(group)
         raise UsageError(
             f"unknown {group.word} {name}: no installed package has it",
             hint=f"installed: {format_name_list(known)}"
@@ -75,6 +77,11 @@ def load_plugin(group: PluginGroup, name: str) -> Plugin:
             f"{group.word} {name} is in two packages: {' and '.join(packages)}", hint="uninstall one of them"
         )
     return _load_entry_point(group, found[0])
+
+
+def list_plugin_names(group: PluginGroup) -> list[str]:
+    """The names of the plugins of ``group``; none of them is imported."""
+    return sorted({point.name for point in _list_entry_points(group)})
 
 
 def load_plugins(group: PluginGroup) -> tuple[Plugin, ...]:

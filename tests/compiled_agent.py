@@ -9,9 +9,13 @@ import os
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Lock
 
 from edgectl.config.load import load_inventory
 from edgectl.transport.agent_client import _PROCESS_KEY, build_agent_zipapp, compute_agent_hash
+
+# Of two threads that create it at once, the folder of one is removed under the other.
+_CREATION = Lock()
 
 
 @cache
@@ -30,7 +34,9 @@ def give_agent(state: Path) -> None:
 
     All hosts of this process share the code that one of them has compiled. It is sealed for requests of this process.
     """
-    shared, agents = Path(_create_shared_folder().name), state / "agent"
+    with _CREATION:
+        shared = Path(_create_shared_folder().name)
+    agents = state / "agent"
     if agents.exists():
         return
     state.mkdir(mode=0o700, parents=True, exist_ok=True)

@@ -6,6 +6,7 @@ Every printed command is run, in a fleet made by ``edgectl init``. Ends with an 
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -21,6 +22,8 @@ from tests.pace import patience
 
 LIMIT_S = round(patience(280))
 EXPECTED_TASKS = 10
+# FORCE_COLOR colours what is shown; the checks read words.
+COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 SETTLE_S = 2.0
 # The map grows to 440 MiB, in edgectl's units.
 GROWN_BYTES, GROWS_S = 430 * 2**20, patience(30.0)
@@ -53,7 +56,7 @@ class Demo:
             process.returncode == code,
             f"edgectl {' '.join(words)} ended with {process.returncode}, not {code}",
         )
-        return out
+        return COLOUR.sub("", out)
 
     def places(self) -> dict[str, tuple[str, int]]:
         """Return host and pid of every live task."""

@@ -11,7 +11,7 @@ import sys
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -41,12 +41,13 @@ def reserve_port() -> socket.socket:
 
 @dataclass
 class EtcdServer:
-    """One member of a cluster; ``port`` serves clients."""
+    """One member of a cluster; ``port`` serves clients, the other members reach it at ``reached_at``."""
 
     name: str
     directory: Path
     port: int
     peer_port: int
+    reached_at: int
     more: tuple[str, ...] = ()
     process: "subprocess.Popen[bytes] | None" = None
 
@@ -61,7 +62,7 @@ class EtcdServer:
                     f"--listen-client-urls={scheme}://127.0.0.1:{self.port}",
                     f"--advertise-client-urls={scheme}://127.0.0.1:{self.port}",
                     f"--listen-peer-urls=http://127.0.0.1:{self.peer_port}",
-                    f"--initial-advertise-peer-urls=http://127.0.0.1:{self.peer_port}",
+                    f"--initial-advertise-peer-urls=http://127.0.0.1:{self.reached_at}",
                     f"--initial-cluster={cluster}",
                     f"--heartbeat-interval={_HEARTBEAT_MS}",
                     f"--election-timeout={_ELECTION_MS}",
@@ -98,11 +99,13 @@ class EtcdCluster:
         return Coordination(endpoints=tuple(("127.0.0.1", server.port) for server in self.servers))
 
     def start(self) -> None:
+        """Start the members that do not run."""
         for server in self.servers:
-            server.start(self._describe())
+            if server.process is None:
+                server.start(self._describe())
 
     def _describe(self) -> str:
-        return ",".join(f"{each.name}=http://127.0.0.1:{each.peer_port}" for each in self.servers)
+        return ",".join(f"{each.name}=http://127.0.0.1:{each.reached_at}" for each in self.servers)
 
     def ask(self, operation: str, body: dict[str, object]) -> dict[str, object]:
         """Ask etcd without edgectl's own client."""
@@ -126,15 +129,21 @@ class EtcdCluster:
 
 
 @contextmanager
-def running_etcd(directory: Path, size: int = 1, *more: str) -> Iterator[EtcdCluster]:
-    """An etcd of ``size`` members that serves requests; ended with the block."""
+def running_etcd(
+    directory: Path, size: int = 1, *more: str, relay: Callable[[int], int] | None = None
+) -> Iterator[EtcdCluster]:
+    """An etcd of ``size`` members that serves requests; ended with the block.
+
+    ``relay``: opens a line to a port, through which members reach each other, and returns the port of the line.
+    """
     with ExitStack() as stack:
         lines = [stack.enter_context(reserve_port()) for _ in range(2 * size)]
         ports = [line.getsockname()[1] for line in lines]
+    pairs = zip(ports[::2], ports[1::2], strict=True)
     cluster = EtcdCluster(
         [
-            EtcdServer(f"n{number}", directory, ports[2 * number], ports[2 * number + 1], more)
-            for number in range(size)
+            EtcdServer(f"n{number}", directory, client, peer, relay(peer) if relay else peer, more)
+            for number, (client, peer) in enumerate(pairs)
         ]
     )
     try:

@@ -11,9 +11,15 @@ from typing import NamedTuple
 
 import pytest
 
+from edgectl.config.load import load_inventory_and_tasks
 from edgectl.errors import PluginError, UsageError
+from edgectl.model.policy import WEIGHT_PRESETS, Policy
 from edgectl.plugins import PluginGroup, load_plugin, load_plugins
 from edgectl.scaffold.write import write_scaffold
+from edgectl.transport.fake import FakeTransport
+from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.plan import make_plan
+from tests.builders import a_sample, a_snapshot
 from tests.docs.blocks import environment, make_tasks_idle
 from tests.views.fixtures import ROOT
 
@@ -98,6 +104,80 @@ def test_the_worked_package(site: Path, tmp_path: Path) -> None:
         line for line in (tmp_path / "events").read_text().splitlines() if "a test of on_event" in line
     ]
     assert json.loads(line)["kind"] == "task-failed"
+
+
+def test_the_term_and_the_policy_of_the_worked_package(site: Path, tmp_path: Path) -> None:
+    """A plan names plugin and version, and is the same bytes without them: the ratings are in the snapshot."""
+    packages, empty = tmp_path / "packages", tmp_path / "empty"
+    install(EXAMPLE, packages)
+    empty.mkdir()
+    edge = "edge2: {"
+    inventory = site / "inventories" / "local.yaml"
+    text = inventory.read_text().replace("transport: loud-local, ", "")
+    assert edge in text
+    inventory.write_text(text.replace(edge, edge + "labels: {sun: 'yes'}, "))
+    tasks = site / "tasks" / "demo.yaml"
+    stated = tasks.read_text()
+    tasks.write_text(stated.replace("weights: all\n", "terms: [lab-shade]\nweights: rating\n", 1))
+    probed = run(["probe", "--out", "now.json"], site, packages)
+    assert probed.code == 0, probed.err
+    saved = run(["plan", "--snapshot", "now.json", "--out", "next.plan", "-o", "wide"], site, packages)
+    assert saved.code == 0, saved.err
+    assert "RATING" in saved.out
+    plan = json.loads((site / "next.plan").read_text())
+    assert plan["options"]["terms"] == ["lab-shade"]
+    assert plan["snapshot"]["ratings"]["lab-shade"]["package"] == "edgectl-lab-plugin 0.1.0"
+    placed = {each["task"]: each["host"] for each in plan["decisions"]}
+    assert {task for task, host in placed.items() if host == "edge2"} == {"slam-robot2"}, (
+        "its file pins it there"
+    )
+    (site / "rated.json").write_text(json.dumps({"format_version": 2, **plan["snapshot"]}))
+    for where in (packages, empty):
+        again = run(["plan", "--snapshot", "rated.json", "-o", "json"], site, where)
+        assert (again.code, json.loads(again.out)["decisions"]) == (0, plan["decisions"]), again.err
+    refused = run(["plan", "--snapshot", "now.json"], site, empty)
+    assert refused.code == 64
+    assert refused.err.startswith("error: unknown term lab-shade: no installed package has it\n")
+    assert "a snapshot or a plan that was made with it holds its ratings" in refused.err
+    tasks.write_text(stated)
+    fewest = run(["plan", "--snapshot", "now.json", "--policy", "lab-fewest", "-o", "json"], site, packages)
+    assert json.loads(fewest.out)["options"]["terms"] == ["lab-fewest"]
+    unknown = run(["plan", "--snapshot", "now.json", "--policy", "lab-fewst"], site, packages)
+    assert (unknown.code, unknown.err) == (
+        64,
+        "error: unknown policy 'lab-fewst'\nhint: did you mean lab-fewest?\n",
+    )
+
+
+@pytest.mark.parametrize(
+    ("body", "why"),
+    [
+        (
+            "return {'slam-robot1': {'edge1': 1.5}}",
+            "ValueError: the rating of edge1 for slam-robot1 must be a number",
+        ),
+        (
+            "return {'slam-robot1': {'edge9': 0.5}}",
+            "ValueError: it rates 'edge9', which is neither a task nor a host",
+        ),
+        ("return [1]", "AttributeError"),
+        ("return 1 / 0", "ZeroDivisionError: division by zero"),
+    ],
+)
+def test_a_term_that_fails_is_named_and_nothing_is_planned(
+    body: str, why: str, site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "bad_term.py").write_text(f"def rate(inventory, tasks, snapshot):\n    {body}\n")
+    write_metadata(tmp_path, "bad-term", "3.1", {"edgectl.terms": {"odd": "bad_term:rate"}})
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "bad_term", raising=False)
+    inventory, tasks, _ = load_inventory_and_tasks(
+        site / "inventories" / "local.yaml", site / "tasks" / "demo.yaml"
+    )
+    fleet = Fleet(inventory=inventory, tasks=tasks, transport=FakeTransport({}), state=tmp_path)
+    policy = Policy(terms=("odd",), weights=WEIGHT_PRESETS["rating"])
+    with pytest.raises(PluginError, match=rf"^term odd of bad-term 3.1 failed: {why}"):
+        make_plan(fleet, policy, snapshot=a_snapshot(edge1=a_sample()))
 
 
 def test_what_is_not_installed_is_named(site: Path, tmp_path: Path) -> None:

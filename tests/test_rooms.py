@@ -100,7 +100,7 @@ OWNERS: dict[str, str | tuple[str, ...]] = {
     "ray": "experiments/sweep_ray",
     "distributed": "experiments/sweep_dask",
     "skimage": "experiments/ssim",
-    "numpy": ("scheduler/array_scan", "solver/highs", "experiments/ssim"),
+    "numpy": ("scheduler/array_", "solver/highs", "experiments/ssim"),
     "PIL": "experiments/ssim",
     "matplotlib": "experiments/report/",
     "jinja2": "experiments/report/page",

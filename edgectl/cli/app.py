@@ -170,6 +170,13 @@ GROUP_HELP: dict[str, str] = {
     "simulate": "Simulate a mission under several schemes: simulate SCENARIO is simulate run SCENARIO.",
     "config": "Show and choose the settings of edgectl.yaml and of the user.",
 }
+# Examples of a command group, a line each.
+GROUP_EXAMPLES: dict[str, tuple[str, ...]] = {
+    "simulate": (
+        "edgectl simulate docs/scenarios/paper-2.yaml --runs 2",
+        "edgectl simulate sweep docs/scenarios/sweep-robots.yaml",
+    ),
+}
 SUMMARY = "Place robot tasks on edge computers by measured utility: probe, plan, apply, over SSH."
 EPILOG = (
     "Exit codes: 0 done; 1 failed; 2 changes pending, 3 unplaced (plan --detailed-exitcode); 4 partly "
@@ -254,7 +261,9 @@ def build_app_with_commands(
 def _add_command_group(app: typer.Typer, name: str, text: str) -> typer.Typer:
     """Add a command group; called without a subcommand it prints its help."""
     group = typer.Typer(rich_markup_mode=None, context_settings=CONTEXT_SETTINGS, no_args_is_help=True)
-    app.add_typer(group, name=name, help=text)
+    examples = "".join(f"  {example}\n" for example in GROUP_EXAMPLES.get(name, ()))
+    epilog = f"\b\nExamples:\n{examples}" if examples else None
+    app.add_typer(group, name=name, help=text, epilog=epilog)
     return group
 
 

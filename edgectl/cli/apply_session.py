@@ -19,10 +19,9 @@ from edgectl.usecases.apply import check_saved_plan
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.plan import keep_whole_plan, list_remote_commands, make_plan
 from edgectl.usecases.plan_execution import ApplyOptions, ApplyResult
-from edgectl.views.output_format import NAMED_FORMATS, OutputFormat, check_output_format
+from edgectl.views.output_format import HUMAN_FORMATS, NAMED_FORMATS, OutputFormat, check_output_format
 from edgectl.views.progress import show_apply_progress
-
-_HUMAN_FORMATS = (OutputFormat.TABLE, OutputFormat.WIDE)
+from edgectl.views.text import is_ci
 
 
 def check_can_confirm(*, asked: bool, first: str = "check first: edgectl plan") -> bool:
@@ -31,12 +30,11 @@ def check_can_confirm(*, asked: bool, first: str = "check first: edgectl plan") 
     ``first`` is what to check before passing --yes.
 
     Raises:
-        UsageError: stdin is not a terminal.
+        UsageError: stdin is not a terminal, or a CI job runs this (CI=true).
     """
-    if asked and not sys.stdin.isatty():
-        raise UsageError(
-            "stdin is not a terminal: cannot ask for confirmation", hint=f"pass --yes, or {first}"
-        )
+    if asked and (not sys.stdin.isatty() or is_ci()):
+        why = "CI is set" if is_ci() else "stdin is not a terminal"
+        raise UsageError(f"{why}: cannot ask for confirmation", hint=f"pass --yes, or {first}")
     return asked
 
 
@@ -94,7 +92,7 @@ class ApplySession:
 
     def confirm(self, plan: Plan) -> bool:
         """Show the plan; if asked, only the answer ``yes`` confirms."""
-        if self._output in _HUMAN_FORMATS and (self._asked or not self._quiet):
+        if self._output in HUMAN_FORMATS and (self._asked or not self._quiet):
             self._print_plan(plan)
         count = sum(step.action.changes for step in plan.steps)
         to_fleet = f" to fleet {self._fleet}" if self._fleet else ""
@@ -121,7 +119,7 @@ class ApplySession:
             console.print_message("nothing was done")
         elif applied.results is not None:
             console.print_view(ResultsView(applied.results, fleet=self._fleet), self._output)
-        elif not self._quiet and self._output in _HUMAN_FORMATS:
+        elif not self._quiet and self._output in HUMAN_FORMATS:
             self._print_plan(applied.plan)
         elif not self._quiet:
             console.print_view(ResultsView(None), self._output)

@@ -77,6 +77,15 @@ def _load_named_tasks() -> "Mapping[str, Task]":
         return {}
 
 
+def complete_policies(incomplete: str) -> list[str]:
+    """Names of policies, also of plugins."""
+    from edgectl.model.policy import PolicyName
+    from edgectl.usecases.ratings import list_policy_plugins
+
+    names = [*PolicyName, *list_policy_plugins()]
+    return [str(name) for name in names if name.startswith(incomplete)]
+
+
 def complete_contexts(incomplete: str) -> list[str]:
     """Names of contexts in the project file and the user's configuration."""
     from edgectl.cli.project import load_settings

@@ -2,6 +2,7 @@
 """Construction of a fleet from its files."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,9 +10,12 @@ from edgectl.cli import console
 from edgectl.cli.user_files import LoadedInputs, refuse_exposed_files
 from edgectl.errors import UsageError
 from edgectl.units import QuantityError, parse_duration
-from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.fleet import Fleet, show_nothing
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
+    from edgectl.gateway.host_probe import HostCallback
     from edgectl.model.diagnosis import Disk
 
 
@@ -42,7 +46,8 @@ def _build_fleet_with_state(
         state,
         warn=print_warning,
         accept_new=accept_new,
-        ask_password=_ask_password if asking and sys.stdin.isatty() else None,
+        ask_password=_ask_password if asking and _is_attended() else None,
+        show_probe=_show_wait if asking and sys.stderr.isatty() else show_nothing,
     )
 
 
@@ -63,10 +68,28 @@ def build_offline_fleet(loaded: LoadedInputs) -> Fleet:
     return Fleet(inventory=loaded.inventory, tasks=loaded.tasks, transport=FakeTransport({}), state=Path())
 
 
+def _is_attended() -> bool:
+    """Whether somebody sits at the terminal that is stdin."""
+    if not sys.stdin.isatty():
+        return False
+    from edgectl.views.text import is_ci
+
+    return not is_ci()
+
+
+def _show_wait(hosts: Sequence[str]) -> "AbstractContextManager[HostCallback | None]":
+    from edgectl.views.wait_line import show_wait
+
+    return show_wait(hosts)
+
+
 def _ask_password(prompt: str) -> str:
     from getpass import getpass
 
-    return getpass(prompt)
+    from edgectl.views.wait_line import pause_wait
+
+    with pause_wait():
+        return getpass(prompt)
 
 
 def print_warning(message: str) -> None:

@@ -15,19 +15,25 @@ if TYPE_CHECKING:
     from edgectl.views.text import RenderOptions
 
 
-def print_view(view: "View", form: "OutputFormat") -> None:
-    """Print ``view`` on stdout in ``form``, and the notes of a table on stderr."""
-    from edgectl.views.output import render_view
-    from edgectl.views.text import detect_render_options
+def print_view(view: "View", form: "OutputFormat", *, fleet: str = "") -> None:
+    """Print ``view`` on stdout in ``form``, and the notes of a table on stderr.
 
-    print_text(render_view(view, form, detect_render_options(sys.stdout)))
+    ``fleet``: its name, the first line of a table on a terminal; programs read tables without it.
+    """
+    from edgectl.views.output import render_view
+    from edgectl.views.output_format import HUMAN_FORMATS
+    from edgectl.views.text import detect_render_options, render_fleet_line
+
+    look = detect_render_options(sys.stdout)
+    text = render_view(view, form, look)
+    print_text((render_fleet_line(fleet, look) if fleet and text and form in HUMAN_FORMATS else "") + text)
     _print_notes(view, form)
 
 
 def _print_notes(view: "View", form: "OutputFormat") -> None:
-    from edgectl.views.output_format import OutputFormat
+    from edgectl.views.output_format import HUMAN_FORMATS
 
-    if form in (OutputFormat.TABLE, OutputFormat.WIDE):
+    if form in HUMAN_FORMATS:
         print_notes(view.notes())
 
 

@@ -24,17 +24,19 @@ def doctor_command(
     ] = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.ItemOutput = OutputFormat.TABLE,
+    output: options.DiagnosisOutput = OutputFormat.TABLE,
     timeout: options.TimeoutOption = "15s",
 ) -> None:
     """Diagnose this machine, the hosts, the links between them, and what the edges lack for the tasks, with a
     fix for each finding. Nothing is changed.
 
-    Exit code 1 if a check failed; warnings alone exit with 0.
+    Exit code 1 if a check failed; warnings alone exit with 0. -o markdown is a report to paste into an issue,
+    with the versions.
 
     Examples:
         edgectl doctor
         edgectl doctor edge1 -o json
+        edgectl doctor -o markdown
     """
     from edgectl.cli.connect import build_fleet_with_state_check, parse_duration_option
     from edgectl.usecases.doctor import run_doctor
@@ -43,5 +45,5 @@ def doctor_command(
     loaded = load_inputs(inventory, tasks, needs_tasks=False)
     fleet, state = build_fleet_with_state_check(loaded)
     diagnosis = run_doctor(fleet, state, hosts or (), timeout=parse_duration_option(timeout, "--timeout"))
-    console.print_view(DiagnosisView(diagnosis), output)
+    console.print_view(DiagnosisView(diagnosis), output, fleet=fleet.inventory.fleet)
     raise Exit(exit_codes.of_diagnosis(diagnosis))

@@ -4,6 +4,7 @@
 import errno
 import os
 import re
+import shlex
 from collections.abc import Sequence
 
 from edgectl.cli import console
@@ -20,7 +21,7 @@ def handle_error(error: Exception, words: Sequence[str]) -> int:
     Raises:
         Exception: the error itself, if it is a bug and EDGECTL_DEBUG is set.
     """
-    known = error if isinstance(error, EdgectlError) else _usage_error_from_typer(error)
+    known = error if isinstance(error, EdgectlError) else _usage_error_from_typer(error, words)
     if known is None:
         if os.environ.get("EDGECTL_DEBUG"):
             raise error
@@ -31,7 +32,7 @@ def handle_error(error: Exception, words: Sequence[str]) -> int:
     return ExitCode.DIFF_FAILED if failed_diff else known.exit_code
 
 
-def _usage_error_from_typer(error: Exception) -> UsageError | None:
+def _usage_error_from_typer(error: Exception, words: Sequence[str] = ()) -> UsageError | None:
     """Convert typer's usage errors and aborts, which have no public class, by exit code and class name."""
     if type(error).__name__ == "Abort":
         return UsageError("no answer on stdin", hint="pass --yes to continue without asking")
@@ -51,7 +52,23 @@ def _usage_error_from_typer(error: Exception) -> UsageError | None:
             guessed[1],
             hint=f"did you mean {format_alternatives(guessed[2].replace(chr(39), '').split(', '))}?",
         )
+    if command == "edgectl" and said.startswith("No such option"):
+        return UsageError(said, hint=_suggest_option_place(words))
     return UsageError(said, hint=f"see {command} --help")
+
+
+def _suggest_option_place(words: Sequence[str]) -> str:
+    """The same words with the command first: only options of every command may stand before it."""
+    from edgectl.cli.app import COMMANDS
+
+    groups = {name.partition(" ")[0] for name in COMMANDS}
+    place = next((number for number, word in enumerate(words) if word in groups), 0)
+    if not place:
+        return "see edgectl --help"
+    end = place + 1 + (" ".join(words[place : place + 2]) in COMMANDS)
+    return (
+        f"options follow the command: edgectl {shlex.join([*words[place:end], *words[:place], *words[end:]])}"
+    )
 
 
 def _wrap_unexpected_error(error: Exception) -> EdgectlError:

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
-from typer import Argument, Exit, Option
+from typer import Argument, Exit
 
 from edgectl.cli import console, exit_codes, options
 from edgectl.cli.completion import complete_hosts, complete_tasks
@@ -66,13 +66,9 @@ def get_command(
     tasks: options.TasksOption = None,
     output: options.FleetOutput = OutputFormat.TABLE,
     selector: options.SelectorOption = None,
-    sort_by: Annotated[
-        str | None, Option("--sort-by", metavar="KEY", help="By a key of -o json, such as cpu.used_cores.")
-    ] = None,
-    field: Annotated[
-        str | None, Option("--field", metavar="KEY", help="Print only this key of -o json, a line each.")
-    ] = None,
-    no_headers: Annotated[bool, Option("--no-headers", help="Omit the headings.")] = False,
+    sort_by: options.SortByOption = None,
+    field: options.FieldOption = None,
+    no_headers: options.NoHeadersOption = False,
     watch: options.WatchOption = False,
     every: options.EveryOption = "2s",
     allow_unreachable: options.AllowUnreachableOption = False,
@@ -119,19 +115,24 @@ def get_command(
     snapshot = probe_fleet(fleet)
     listings = [build(wanted, snapshot) for wanted in kinds]
     if field is not None:
-        console.print_lines(line + "\n" for listing in listings for line in list_field(listing, field))
+        console.print_lines(line + "\n" for listing in listings for line in _list_field(listing, field))
     else:
-        _print_listings(listings, output, headers=not no_headers)
+        _print_listings(listings, output, fleet=None if no_headers else fleet.inventory.fleet)
     raise Exit(exit_codes.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable))
 
 
-def _print_listings(listings: "Sequence[Listing]", output: OutputFormat, *, headers: bool) -> None:
+def _list_field(listing: "Listing", field: str) -> list[str]:
+    return list_field([item.document for item in listing.items], field, listing.kind.removesuffix("s"))
+
+
+def _print_listings(listings: "Sequence[Listing]", output: OutputFormat, *, fleet: str | None) -> None:
+    """``fleet``: its name, None to omit the headings."""
     from edgectl.views.listing import AllListingsView, ListingView
 
     if len(listings) == 1:
-        console.print_view(ListingView(listings[0], headers=headers), output)
+        console.print_view(ListingView(listings[0], headers=fleet is not None), output, fleet=fleet or "")
     else:
-        console.print_view(AllListingsView(listings, headers=headers), output)
+        console.print_view(AllListingsView(listings, headers=fleet is not None), output, fleet=fleet or "")
 
 
 def _resolve_kinds(word: str) -> Sequence[str]:

@@ -2,7 +2,7 @@
 """One key of the items of a listing: to sort by, or to print alone."""
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -10,6 +10,7 @@ from edgectl.errors import UsageError
 from edgectl.names import check_known_names, natural_key
 
 if TYPE_CHECKING:
+    from edgectl.formats.document import Document
     from edgectl.views.listing_items import Listing
 
 _MISSING = object()
@@ -23,28 +24,38 @@ def sort_listing(listing: "Listing", path: str | None) -> "Listing":
     """
     if path is None:
         return listing
-    _check_path(listing, path)
-    return replace(
-        listing, items=tuple(sorted(listing.items, key=lambda item: _rank(_find(item.document, path), path)))
-    )
+    items = [item.document for item in listing.items]
+    order = rank_documents(items, path, listing.kind.removesuffix("s"))
+    return replace(listing, items=tuple(listing.items[place] for place in order))
 
 
-def list_field(listing: "Listing", path: str) -> list[str]:
-    """The value of the key ``path`` of each item, as text; objects and lists as JSON, nothing as ``-``.
+def rank_documents(items: "Sequence[Document]", path: str, kind: str) -> list[int]:
+    """The places of the documents of ``kind`` in the order of the key ``path``; those without it come last.
+
+    Raises:
+        UsageError: no item has this key, or it holds no single value.
+    """
+    _check_path(items, path, kind)
+    return sorted(range(len(items)), key=lambda place: _rank(_find(items[place], path), path))
+
+
+def list_field(items: "Sequence[Document]", path: str, kind: str) -> list[str]:
+    """The value of the key ``path`` of each document of ``kind``, as text; objects and lists as JSON, nothing
+    as ``-``.
 
     Raises:
         UsageError: no item has this key.
     """
-    _check_path(listing, path)
-    return [_format(_find(item.document, path)) for item in listing.items]
+    _check_path(items, path, kind)
+    return [_format(_find(item, path)) for item in items]
 
 
-def _check_path(listing: "Listing", path: str) -> None:
+def _check_path(items: "Sequence[Document]", path: str, kind: str) -> None:
     from edgectl.views.document_keys import LIST_KEYS
 
-    stated = LIST_KEYS[listing.kind.removesuffix("s")]
-    found = {key for item in listing.items for key in _list_paths(item.document)}
-    check_known_names([path], sorted({*stated, *found}), "key of -o json")
+    stated = LIST_KEYS[kind]
+    found = {key for item in items for key in _list_paths(item)}
+    check_known_names([path], sorted({*stated, *found}), "key of -o json", every=True)
 
 
 def _list_paths(value: object, start: str = "") -> Iterable[str]:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """logs command."""
 
+import dataclasses
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -61,7 +62,7 @@ def logs_command(
     """Print the logs of tasks from the hosts where they run or ran last, without control sequences.
 
     Of several tasks each line begins with [task/NAME]; a task without a log is said, and the exit code is 4.
-    A run ends when its command does: a crash, a restart or a stop.
+    -f follows up to 32 at once. A run ends when its command does: a crash, a restart or a stop.
 
     Examples:
         edgectl logs slam-robot1
@@ -73,22 +74,20 @@ def logs_command(
 
     fleet = build_fleet(load_inputs(inventory, tasks))
     chosen = select_task_names(names or (), selector, fleet.tasks)
-    if follow and len(chosen) > 1:
-        raise UsageError(
-            f"-f follows one task, and this is {len(chosen)}", hint=f"edgectl logs -f {chosen[0]}"
-        )
     if follow and previous:
         raise UsageError("--previous is of a run that has ended: it cannot be followed")
     since_s = _parse_since(since) if since is not None else None
     if tail is None and since is None:
         tail = _DEFAULT_TAIL
-    read = partial(_read_one, fleet, tail=tail, since_s=since_s, raw=raw)
+    read = partial(_read_one, tail=tail, since_s=since_s, raw=raw)
+    if follow and len(chosen) > 1:
+        raise Exit(_follow_several(fleet, chosen, partial(read, follow=True, previous=False, prefix=True)))
     if len(chosen) == 1:
-        for text in read(chosen[0], follow=follow, previous=previous, prefix=prefix):
+        for text in read(fleet, chosen[0], follow=follow, previous=previous, prefix=prefix):
             if not console.print_part(text):
                 return
         return
-    raise Exit(_print_several(chosen, partial(read, follow=False, previous=previous, prefix=True)))
+    raise Exit(_print_several(chosen, partial(read, fleet, follow=False, previous=previous, prefix=True)))
 
 
 def _parse_since(text: str) -> float:
@@ -113,6 +112,28 @@ def _print_several(names: Sequence[str], read: Callable[[str], Iterator[str]]) -
             continue
         if not console.print_part(text):
             break
+    return code
+
+
+def _follow_several(fleet: "Fleet", names: Sequence[str], read: "Callable[..., Iterator[str]]") -> ExitCode:
+    """The new lines of all tasks as they come, each whole, until Ctrl-C, or until none is left to follow."""
+    from edgectl.transport.connections import SessionPool
+    from edgectl.usecases.logs import MAX_FOLLOWED, merge_streams
+
+    if len(names) > MAX_FOLLOWED:
+        raise UsageError(
+            f"-f follows at most {MAX_FOLLOWED} tasks, and this is {len(names)}",
+            hint="name fewer, or: -l robot=NAME",
+        )
+    code = ExitCode.DONE
+    with SessionPool(fleet.transport) as pool:
+        held = dataclasses.replace(fleet, transport=pool)
+        for name, text in merge_streams({name: partial(read, held, name) for name in names}):
+            if isinstance(text, EdgectlError):
+                console.print_message(f"task/{name}: {text.message}")
+                code = ExitCode.PARTLY
+            elif not console.print_part(text):
+                break
     return code
 
 

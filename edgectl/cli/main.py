@@ -12,6 +12,8 @@ from typing import Any
 
 _INTERRUPTED = 130  # ExitCode.INTERRUPTED
 _INSECURE_FILES = "--insecure-files"
+# Kinds of describe by their other forms.
+_DESCRIBED = {form: kind for kind in ("edge", "robot", "task") for form in (kind, f"{kind}s", kind[0])}
 # Options of every command that have a value.
 _WITH_VALUE = ("--context", "--color", "--log-format")
 _ALONE = (_INSECURE_FILES, "-v", "-vv", "--verbose")
@@ -113,6 +115,7 @@ def expand_shorthand(words: Sequence[str]) -> list[str]:
 
     None is the help, as is ``help [COMMAND]``; ``top`` is ``top hosts``, and ``top -i`` is ``top hosts -I``
     (after ``hosts``, ``-i`` names the inventory as everywhere). ``simulate SCENARIO`` is ``simulate run``.
+    ``describe`` takes a kind in all its forms, and KIND/NAME as ``-o name`` prints it.
     """
     match list(words):
         case []:
@@ -125,6 +128,11 @@ def expand_shorthand(words: Sequence[str]) -> list[str]:
             return ["top", "hosts"]
         case ["top", option, *rest] if option.startswith("-") and option not in ("-h", "--help"):
             return ["top", "hosts", option, *rest]
+        case ["describe", word, *rest] if "/" in word:
+            kind, _, name = word.partition("/")
+            return ["describe", _DESCRIBED.get(kind, kind), name, *rest]
+        case ["describe", word, *rest] if word in _DESCRIBED:
+            return ["describe", _DESCRIBED[word], *rest]
         case ["simulate", word, *rest] if word not in ("run", "sweep", "merge", "-h", "--help"):
             return ["simulate", "run", word, *rest]
         case others:

@@ -10,12 +10,18 @@ from typing import Annotated, Any, Literal, get_origin
 
 from typer import Argument, Option
 
-from edgectl.cli.completion import complete_hosts, complete_labels, complete_tasks, complete_weights
+from edgectl.cli.completion import (
+    complete_hosts,
+    complete_labels,
+    complete_policies,
+    complete_tasks,
+    complete_weights,
+)
 from edgectl.cli.project import PreferredOutput
 from edgectl.dataclass import dataclass
-from edgectl.model.policy import PolicyName
 from edgectl.views.output_format import (
     CYCLE_FORMATS,
+    DIAGNOSIS_FORMATS,
     FLEET_FORMATS,
     GRAPH_FORMATS,
     ITEM_FORMATS,
@@ -79,6 +85,7 @@ WideOutput = Annotated[OutputFormat, build_output_option(WIDE_FORMATS)]
 NamedOutput = Annotated[OutputFormat, build_output_option(NAMED_FORMATS)]
 GraphOutput = Annotated[OutputFormat, build_output_option(GRAPH_FORMATS)]
 WatchOutput = Annotated[OutputFormat, build_output_option(CYCLE_FORMATS)]
+DiagnosisOutput = Annotated[OutputFormat, build_output_option(DIAGNOSIS_FORMATS)]
 ItemOutput = Annotated[OutputFormat, build_output_option(ITEM_FORMATS)]
 ValidateOutput = Annotated[OutputFormat, build_output_option(VALIDATION_FORMATS)]
 
@@ -96,14 +103,23 @@ WeightsOption = Annotated[
     ),
 ]
 PolicyOption = Annotated[
-    PolicyName | None,
-    Option("--policy", metavar="NAME", help="utility, static, local, least-loaded, pack, .."),
+    str | None,
+    Option(
+        "--policy",
+        metavar="NAME",
+        autocompletion=complete_policies,
+        help="utility, static, local, pack, .., or a plugin.",
+    ),
 ]
 BestEffortOption = Annotated[bool, Option("--best-effort", help="Place a task even where it does not fit.")]
 PruneOption = Annotated[bool, Option("--prune", help="Also stop the tasks of other task files.")]
 RebalanceOption = Annotated[bool, Option("--rebalance", help="Swap and move tasks for a greater total.")]
 OptimalOption = Annotated[bool, Option("--optimal", help="Find the best plan, and prove it (extra opt).")]
 FullOption = Annotated[bool, Option("--full", help="Rank every host, however many there are.")]
+MaxMovesOption = Annotated[
+    int | None,
+    Option("--max-moves", metavar="N", min=0, help="At most N voluntary moves."),
+]
 WithoutOption = Annotated[
     list[str] | None,
     Option(
@@ -117,6 +133,13 @@ TargetOption = Annotated[
     list[str] | None,
     Option("--target", metavar="TASK", autocompletion=complete_tasks, help="Only this task; repeatable."),
 ]
+SortByOption = Annotated[
+    str | None, Option("--sort-by", metavar="KEY", help="By a key of -o json, such as cpu.used_cores.")
+]
+FieldOption = Annotated[
+    str | None, Option("--field", metavar="KEY", help="Print only this key of -o json, a line each.")
+]
+NoHeadersOption = Annotated[bool, Option("--no-headers", help="Omit the headings.")]
 SelectorOption = Annotated[
     str | None,
     Option(
@@ -226,7 +249,7 @@ DRY_RUN_SUFFIX = " (dry run)"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PolicyOptions:
-    """Overrides of the policy of the task files. ``full``, ``rebalance`` and ``optimal`` are
+    """Overrides of the policy of the task files. ``full``, ``rebalance``, ``optimal`` and ``max_moves`` are
     options of ``PlanPolicyOptions`` only.
     """
 
@@ -237,6 +260,7 @@ class PolicyOptions:
     rebalance: bool = False
     optimal: bool = False
     full: bool = False
+    max_moves: int | None = None
     without: WithoutOption = None
 
 
@@ -247,6 +271,7 @@ class PlanPolicyOptions(PolicyOptions):
     rebalance: RebalanceOption = False
     optimal: OptimalOption = False
     full: FullOption = False
+    max_moves: MaxMovesOption = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -67,6 +67,7 @@ def plan_command(
             recorded=not is_what_if(fleet, how),
         )
     )
+    _warn_of_former_fleet(fleet, result)
     carried = None
     stateful = any(task.state is not None for task in loaded.tasks.tasks.values())
     if output is OutputFormat.WIDE and stateful and not snapshot:
@@ -85,6 +86,17 @@ def plan_command(
         console.print_message(f"saved {out}; apply it with: edgectl apply {out}")
     console.print_view(view, output)
     raise Exit(exit_codes.of_plan(result, detailed=detailed, allow_unreachable=allow_unreachable))
+
+
+def _warn_of_former_fleet(fleet: "Fleet", plan: "Plan") -> None:
+    if fleet.inventory.is_fleet_named:
+        return
+    from edgectl.rules.former_fleet import find_former_fleet
+    from edgectl.state.lock import describe_manager
+
+    found = find_former_fleet(fleet.inventory, plan.steps, plan.snapshot, describe_manager())
+    if found is not None:
+        console.print_message(f"warning: {found.message}\nhint: {found.hint}")
 
 
 def _watch_plans(

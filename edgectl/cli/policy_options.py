@@ -15,7 +15,8 @@ from edgectl.cli.user_files import refuse_exposed_files, select_exposed
 from edgectl.config.weights import parse_weights
 from edgectl.errors import UsageError
 from edgectl.model.plan import Plan
-from edgectl.model.policy import Policy, Weights
+from edgectl.model.policy import Policy, PolicyName, Weights
+from edgectl.model.resource import RATING, TERMS
 from edgectl.model.task import Tasks
 from edgectl.names import check_known_names
 from edgectl.units import QuantityError
@@ -30,10 +31,9 @@ def policy_from_options(fleet: Fleet, given: PolicyOptions, *, attended: bool = 
         UsageError: invalid weights, or an unknown host.
     """
     check_known_names(given.without or (), fleet.inventory.hosts, "host")
-    stated = fleet.tasks.policy
+    stated = _choose_policy(fleet.tasks.policy, given)
     return dataclasses.replace(
         stated,
-        name=given.policy or stated.name,
         weights=_parse_weights_option(given.weights) if given.weights is not None else stated.weights,
         without=frozenset(given.without or ()),
         best_effort=given.best_effort,
@@ -41,8 +41,25 @@ def policy_from_options(fleet: Fleet, given: PolicyOptions, *, attended: bool = 
         prune=given.prune,
         rebalance=given.rebalance,
         optimal=given.optimal,
-        attended=attended,
+        # Who passes a limit wants it kept, whether somebody reviews the plan or not.
+        attended=attended and given.max_moves is None,
+        max_moves=stated.max_moves if given.max_moves is None else given.max_moves,
     )
+
+
+def _choose_policy(stated: Policy, given: PolicyOptions) -> Policy:
+    """``stated`` with the policy of ``--policy``: one of edgectl, or the ratings of a plugin alone."""
+    if given.policy is None:
+        return stated
+    if given.policy in {*PolicyName}:
+        return dataclasses.replace(stated, name=PolicyName(given.policy))
+    from edgectl.usecases.ratings import list_policy_plugins
+
+    check_known_names([given.policy], [*PolicyName, *list_policy_plugins()], "policy", every=True)
+    if given.weights is not None:
+        raise UsageError(f"policy {given.policy} weighs its own ratings alone", hint="omit --weights")
+    alone = Weights({**dict.fromkeys(TERMS, 0.0), RATING: 1.0})
+    return dataclasses.replace(stated, name=PolicyName.UTILITY, weights=alone, terms=(given.policy,))
 
 
 def require_solver(policy: Policy) -> None:
@@ -126,4 +143,6 @@ def _filter_plan(plan: Plan, wanted: frozenset[str], *, quiet: bool) -> Plan:
 
 def is_interactive() -> bool:
     """Whether a person can be asked."""
-    return sys.stdin.isatty()
+    from edgectl.views.text import is_ci
+
+    return sys.stdin.isatty() and not is_ci()

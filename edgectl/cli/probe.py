@@ -52,5 +52,5 @@ def probe_command(
         snapshot = probe_fleet(fleet, how)
     if out is not None:
         save_file(out, render_view(SnapshotView(snapshot), OutputFormat.JSON))
-    console.print_view(SnapshotView(snapshot, links), output)
+    console.print_view(SnapshotView(snapshot, links), output, fleet=fleet.inventory.fleet)
     raise Exit(exit_codes.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable))

@@ -330,7 +330,7 @@ def find_only_file(what: str, folder: Path, directory: str, option: str) -> Path
         raise UsageError(
             f"no {what} given, and there is none in {inside}/",
             hint=f"pass {option} FILE, or "
-            + (f"write {inside}/{own[0].name}" if own else _suggest_project(folder)),
+            + (f"write {inside}/{own[0].name}" if own else _suggest_folder(folder)),
         )
     names = ", ".join(file.name for file in files)
     raise UsageError(
@@ -338,12 +338,7 @@ def find_only_file(what: str, folder: Path, directory: str, option: str) -> Path
     )
 
 
-def _suggest_project(folder: Path) -> str:
-    """What to do where no inventory is found: a folder above may be a fleet that is not marked as one."""
-    for parent in folder.absolute().parents:
-        if list_yaml_files(parent / INVENTORIES_DIRECTORY):
-            return (
-                f"mark {parent} as the project: echo 'version: 1' > "
-                f"{Path(os.path.relpath(parent)) / PROJECT_FILE}"
-            )
-    return "create an example fleet: edgectl init ."
+def _suggest_folder(folder: Path) -> str:
+    from edgectl.cli.folder_hint import suggest_project
+
+    return suggest_project(folder)

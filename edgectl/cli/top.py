@@ -6,21 +6,24 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import TYPE_CHECKING
 
 from typer import Exit
 
 from edgectl.cli import console, exit_codes, options
+from edgectl.cli.listing_fields import list_field, rank_documents
 from edgectl.cli.signals import catch_stop_signals, parse_every_option
 from edgectl.cli.user_files import LoadedInputs, load_inputs
+from edgectl.dataclass import dataclass
 from edgectl.errors import UsageError
 from edgectl.views.output_format import OutputFormat
 
 if TYPE_CHECKING:
     from edgectl.model.snapshot import Snapshot
     from edgectl.usecases.fleet import Fleet
-    from edgectl.views.output import View
+    from edgectl.views.output import ListView, View
 
 
 def top_hosts_command(
@@ -30,6 +33,9 @@ def top_hosts_command(
     output: options.WideOutput = OutputFormat.TABLE,
     watch: options.WatchOption = False,
     every: options.EveryOption = "2s",
+    sort_by: options.SortByOption = None,
+    field: options.FieldOption = None,
+    no_headers: options.NoHeadersOption = False,
     interactive: options.InteractiveOption = False,
     readonly: options.ReadonlyOption = False,
     allow_unreachable: options.AllowUnreachableOption = False,
@@ -48,9 +54,9 @@ def top_hosts_command(
     loaded, period = load_inputs(inventory, tasks, needs_tasks=False), parse_every_option(every)
     if interactive:
         return _run_live_view(loaded, period, readonly=readonly, first="hosts")
-    raise Exit(
-        _print_top(loaded, "hosts", output, period if watch else None, allow_unreachable=allow_unreachable)
-    )
+    look = _TopLook(sort_by=sort_by, field=field, headers=not no_headers)
+    every_s = period if watch else None
+    raise Exit(_print_top(loaded, "hosts", output, every_s, look, allow_unreachable=allow_unreachable))
 
 
 def top_tasks_command(
@@ -60,6 +66,9 @@ def top_tasks_command(
     output: options.WideOutput = OutputFormat.TABLE,
     watch: options.WatchOption = False,
     every: options.EveryOption = "2s",
+    sort_by: options.SortByOption = None,
+    field: options.FieldOption = None,
+    no_headers: options.NoHeadersOption = False,
     interactive: options.InteractiveOption = False,
     readonly: options.ReadonlyOption = False,
     allow_unreachable: options.AllowUnreachableOption = False,
@@ -76,13 +85,28 @@ def top_tasks_command(
     loaded, period = load_inputs(inventory, tasks), parse_every_option(every)
     if interactive:
         return _run_live_view(loaded, period, readonly=readonly, first="tasks")
-    raise Exit(
-        _print_top(loaded, "tasks", output, period if watch else None, allow_unreachable=allow_unreachable)
-    )
+    look = _TopLook(sort_by=sort_by, field=field, headers=not no_headers)
+    every_s = period if watch else None
+    raise Exit(_print_top(loaded, "tasks", output, every_s, look, allow_unreachable=allow_unreachable))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _TopLook:
+    """Which rows come first, which key alone is printed, and whether there are headings."""
+
+    sort_by: str | None
+    field: str | None
+    headers: bool
 
 
 def _print_top(
-    loaded: LoadedInputs, what: str, output: OutputFormat, every: float | None, *, allow_unreachable: bool
+    loaded: LoadedInputs,
+    what: str,
+    output: OutputFormat,
+    every: float | None,
+    look: _TopLook,
+    *,
+    allow_unreachable: bool,
 ) -> int:
     """Print once, or with ``every`` repeatedly."""
     from edgectl.cli.connect import build_fleet
@@ -91,28 +115,47 @@ def _print_top(
 
     if every is not None:
         check_output_format(output, STREAM_FORMATS)
+        if look.field is not None:
+            raise UsageError("-w shows whole rows", hint="omit --field")
     fleet = build_fleet(loaded)
     if every is None:
         snapshot = probe_fleet(fleet)
-        console.print_view(_build_view(fleet, what, snapshot), output)
+        view = _build_view(fleet, what, snapshot, look)
+        if look.field is not None:
+            console.print_lines(line + "\n" for line in list_field(view.items(), look.field, view.kind))
+        else:
+            console.print_view(view, output, fleet=fleet.inventory.fleet if look.headers else "")
         return exit_codes.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable)
-    _watch_top(fleet, what, output, every)
+    _watch_top(fleet, what, output, every, look)
     return 0
 
 
-def _build_view(fleet: "Fleet", what: str, snapshot: "Snapshot") -> "View":
+def _build_view(fleet: "Fleet", what: str, snapshot: "Snapshot", look: _TopLook) -> "ListView":
     from edgectl.usecases.status import load_host_points, load_task_points
     from edgectl.views.sparkline import SPARKLINE_SAMPLES
     from edgectl.views.top_hosts import TopHostsView
     from edgectl.views.top_tasks import TopTasksView
 
+    make: Callable[..., ListView]
     if what == "hosts":
-        return TopHostsView(snapshot, fleet.inventory, load_host_points(fleet, SPARKLINE_SAMPLES))
-    points = load_task_points(fleet, SPARKLINE_SAMPLES)
-    return TopTasksView(snapshot, fleet.inventory, fleet.tasks, points)
+        make = partial(
+            TopHostsView,
+            snapshot,
+            fleet.inventory,
+            load_host_points(fleet, SPARKLINE_SAMPLES),
+            headers=look.headers,
+        )
+    else:
+        points = load_task_points(fleet, SPARKLINE_SAMPLES)
+        make = partial(TopTasksView, snapshot, fleet.inventory, fleet.tasks, points, headers=look.headers)
+    view = make()
+    if look.sort_by is None:
+        return view
+    items = view.items()
+    return make(order=rank_documents(items, look.sort_by, view.kind))
 
 
-def _watch_top(fleet: "Fleet", what: str, output: OutputFormat, every: float) -> None:
+def _watch_top(fleet: "Fleet", what: str, output: OutputFormat, every: float, look: _TopLook) -> None:
     """Refresh in place on a terminal, else print one after the other, until Ctrl-C (or q)."""
     from edgectl.usecases.status import probe_repeatedly
 
@@ -120,7 +163,7 @@ def _watch_top(fleet: "Fleet", what: str, output: OutputFormat, every: float) ->
     in_place = output in (OutputFormat.TABLE, OutputFormat.WIDE) and sys.stdout.isatty()
     quiet = dataclasses.replace(fleet, warn=warnings.setdefault) if in_place else fleet
     with catch_stop_signals(every) as end:
-        views = (_build_view(quiet, what, snapshot) for snapshot in probe_repeatedly(quiet, end))
+        views = (_build_view(quiet, what, snapshot, look) for snapshot in probe_repeatedly(quiet, end))
         if in_place:
             _redraw_screen(views, output)
         else:

@@ -54,13 +54,14 @@ def trust_command(
 
     if bool(names) == every:
         raise UsageError("name hosts, or pass --all", hint="edgectl trust edge1")
-    hosts = load_inputs(inventory, tasks, needs_tasks=False).inventory.hosts
+    fleet = load_inputs(inventory, tasks, needs_tasks=False).inventory
+    hosts = fleet.hosts
     check_known_names(names or (), hosts, "host")
     asked = names or (name for name, host in hosts.items() if host.probe)
     wanted = list_ssh_hosts([hosts[name] for name in dict.fromkeys(asked)])
     found = dict(fan_out(fetch_host_key, wanted, workers=_MAX_PARALLEL))
     shown = [found[position] for position in range(len(wanted))]
-    console.print_view(HostKeysView([_report_key(each) for each in shown]), output)
+    console.print_view(HostKeysView([_report_key(each) for each in shown]), output, fleet=fleet.fleet)
     unknown = [each for each in shown if each.verdict is HostKeyVerdict.UNKNOWN]
     if dry_run:
         for each in unknown:

@@ -78,7 +78,7 @@ def watch_command(
     )
     loaded = load_inputs(inventory, tasks)
     fleet = build_fleet(loaded, accept_new=accept_new, asking=False)
-    raise Exit(_show_cycles(fleet, given, output, loaded.path.stem))
+    raise Exit(_show_cycles(fleet, given, output, loaded.inventory.fleet))
 
 
 def _parse_period(text: str) -> float:

@@ -89,13 +89,17 @@ def find_task_base(inventories: Sequence[Path]) -> Path:
 
 
 def _read_inventory_files(paths: Sequence[Path], problems: Problems) -> Inventory | None:
-    """The inventory of all files; None if one of them cannot be read."""
+    """The inventory of all files; None if one of them cannot be read, or none names a host."""
     nodes = []
     for path in dict.fromkeys(paths):
         source = read_source(path, problems)
         nodes.append(parse_yaml(source, problems) if source is not None else None)
     found = [node for node in nodes if node is not None]
-    return read_inventories(found, problems) if found and len(found) == len(nodes) else None
+    if not found or len(found) < len(nodes):
+        return None
+    inventory = read_inventories(found, problems)
+    # Without any host every name in a task file is unknown, which is no mistake of that file.
+    return inventory if inventory.hosts else None
 
 
 def _read_task_files(paths: list[Path], inventory: Inventory | None, problems: Problems, base: Path) -> Tasks:

@@ -79,6 +79,8 @@ _ONCE_PER_PLACE = (
 
 # Codes whose messages and hints quote the text at the position.
 _QUOTING_CODES = (ProblemCode.ENCODING, ProblemCode.SYNTAX, ProblemCode.YAML_FEATURE)
+# Names the warnings that a file is to be read without.
+_IGNORE_COMMENT = re.compile(r"#\s*edgectl:\s*ignore\s+(EC\d{3}(?:[\s,]+EC\d{3})*)")
 _REDACTED_MESSAGE = "cannot be read; the text is hidden because a secret is near"
 
 
@@ -151,7 +153,7 @@ class Problems:
             code.value,
             "" if code in _ONCE_PER_PLACE else message,
         )
-        if key in self._seen:
+        if key in self._seen or (warning and _is_ignored(mark, code)):
             return
         self._seen.add(key)
         # Who may write a file decides what is done with it, so that is never left out.
@@ -218,6 +220,22 @@ class Problems:
         """
         if self.errors:
             raise InputError((*self.errors, *self.warnings))
+
+
+def _is_ignored(mark: Mark, code: ProblemCode) -> bool:
+    """Whether a comment on the line, or one that fills the line above, silences this warning.
+
+    What others may write is no matter of taste: that warning stays.
+    """
+    if code is ProblemCode.EXPOSED:
+        return False
+    here, above = (
+        mark.source.lines[number - 1] if 0 < number <= len(mark.source.lines) else ""
+        for number in (mark.line, mark.line - 1)
+    )
+    comments = (here, above if above.lstrip().startswith("#") else "")
+    found = (_IGNORE_COMMENT.search(text) for text in comments)
+    return any(each is not None and code.value in each[1].replace(",", " ").split() for each in found)
 
 
 def _build_sort_key(problem: Problem) -> tuple[str, int, int, str]:

@@ -92,6 +92,15 @@ class SettingsFile:
     marks: Mapping[str, Mark] = field(default_factory=dict)
 
 
+@describe_as(lambda: get_reader_schema(read_name))
+def _read_context_name(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    """The name of one of ``contexts``."""
+    if isinstance(node.value, dict | list):
+        hint = "write context: NAME, and contexts: {NAME: {inventory: inventories/lab.yaml}}"
+        return report_wrong_type(node, problems, "context is the name of one of contexts", hint)
+    return read_name(node, problems)
+
+
 @describe_as(
     lambda: {
         "anyOf": [
@@ -102,6 +111,10 @@ class SettingsFile:
 )
 def _read_paths(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     """One path, or a list of them: the nodes of the valid ones."""
+    if isinstance(node.value, dict):
+        return report_wrong_type(
+            node, problems, "must be a path or a list of paths", "write FILE, or [FILE, FILE]"
+        )
     listed = node.value if isinstance(node.value, list) else [node]
     if not listed:
         return report_wrong_type(node, problems, "must name a file", "write a path, or remove the key")
@@ -123,7 +136,7 @@ CONTEXT_KEYS: Mapping[str, NodeReader] = {"inventory": _read_paths, "tasks": _re
 PROJECT_KEYS: Mapping[str, NodeReader] = {
     "version": read_version,
     **CONTEXT_KEYS,
-    "context": read_name,
+    "context": _read_context_name,
     "contexts": keep_node,
     "defaults": keep_node,
 }

@@ -9,6 +9,7 @@ from edgectl.config.demand_readers import read_demand
 from edgectl.config.fields import (
     Fields,
     keep_node,
+    list_reader,
     list_reader_with_nodes,
     merge_keys,
     read_argument_vector,
@@ -126,6 +127,7 @@ POLICY_KEYS: Mapping[str, NodeReader] = {
     "min_dwell": quantity_reader(parse_duration),
     "max_moves": read_max_moves,
     "prefer": enum_reader(Preference),
+    "terms": list_reader(read_name),
 }
 # Keys of a task that exclude each other.
 EXCLUSIVE_KEYS = (("for_each", "robot"), ("for_each", "robots"), ("robot", "robots"))

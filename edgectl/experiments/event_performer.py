@@ -2,7 +2,7 @@
 """Events of a trial on real hosts: each waits for its moment in a thread, acts, and is undone in the end."""
 
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 from typing import Self
 
@@ -16,8 +16,7 @@ from edgectl.experiments.model.mission_event import (
     MissionEvent,
     begin_record,
 )
-from edgectl.model.cycle import Cycle
-from edgectl.model.snapshot import TaskState
+from edgectl.model.snapshot import Snapshot, TaskState
 
 # Name of the application metric in which a task that serves a robot says how much of its mission is done.
 PROGRESS_METRIC = "progress"
@@ -27,12 +26,19 @@ class EventPerformer:
     """The events of one trial.
 
     ``means.fleet`` is that of the trial, with all tasks. ``draw_uniform``: from 0 to 1, a stream by event.
+    ``until``: tasks whose completion ends the mission, after which no condition holds any more.
     """
 
     def __init__(
-        self, events: Iterable[MissionEvent], means: EventMeans, draw_uniform: Callable[[str], float]
+        self,
+        events: Iterable[MissionEvent],
+        means: EventMeans,
+        draw_uniform: Callable[[str], float],
+        *,
+        until: Collection[str],
     ) -> None:
         self._events, self._means, self._draw_uniform = tuple(events), means, draw_uniform
+        self._until = until
         self._changed = threading.Condition()
         self._began: float | None = None
         self._happened: set[str] = set()
@@ -70,14 +76,12 @@ class EventPerformer:
             self._threads.append(thread)
             thread.start()
 
-    def see_cycle(self, cycle: Cycle) -> None:
-        """Take in what a cycle shows: tasks that run or have completed, and the progress of robots."""
-        if cycle.snapshot is None:
-            return
+    def see_snapshot(self, snapshot: Snapshot) -> None:
+        """Take in what a sample shows: tasks that run or have completed, and the progress of robots."""
         tasks = self._means.fleet.tasks.tasks
         with self._changed:
             self._placed = set()
-            for host in cycle.snapshot.hosts.values():
+            for host in snapshot.hosts.values():
                 for name, sample in host.tasks.items():
                     if sample.state is TaskState.COMPLETED:
                         self._completed.add(name)
@@ -86,7 +90,8 @@ class EventPerformer:
                     done = sample.metrics.get(PROGRESS_METRIC)
                     for robot in tasks[name].robots if name in tasks and done is not None else ():
                         self._progress[robot] = max(self._progress.get(robot, 0.0), done or 0.0)
-            self._changed.notify_all()
+            if not self._completed.issuperset(self._until):
+                self._changed.notify_all()
 
     def finish(self) -> tuple[EventRecord, ...]:
         """End all waits, undo what still holds, the last first; what happened, by the fleet's clock."""

@@ -36,13 +36,17 @@ def add_trial_events(run: ExperimentRun, results: Iterable[SchemeResult]) -> lis
 
 
 def measure_sim_recoveries(run: SimRun, every: float) -> Recovered:
-    """The events of a run, each with its recovery in s; None: not recovered. A task does well by speed."""
+    """The events of a run, each with its recovery in s; None: not recovered. A task does well by speed.
+
+    Tasks without a job have none, and do not count.
+    """
     courses = {
         name: Course(points, run.course_ends.get(name, run.latency))
         for name, points in run.courses.items()
         if points
     }
-    return _measure_recoveries(run.events, courses, run.latency, _build_rule(every, RecoveryMetric()))
+    begun = [tuple(name for name in record.tasks if name in courses) for record in run.events]
+    return _measure_recoveries(run.events, begun, courses, run.latency, _build_rule(every, RecoveryMetric()))
 
 
 def measure_trial_recoveries(experiment: Experiment, trial: Trial) -> Recovered:
@@ -64,7 +68,7 @@ def measure_trial_recoveries(experiment: Experiment, trial: Trial) -> Recovered:
         for task, found in spans.items()
     }
     rule = _build_rule(experiment.every, metric or RecoveryMetric(higher=False))
-    return _measure_recoveries(trial.events, courses, end, rule)
+    return _measure_recoveries(trial.events, [record.tasks for record in trial.events], courses, end, rule)
 
 
 def _build_rule(every: float, metric: RecoveryMetric) -> RecoveryRule:
@@ -77,9 +81,14 @@ def _build_rule(every: float, metric: RecoveryMetric) -> RecoveryRule:
 
 
 def _measure_recoveries(
-    records: Sequence[EventRecord], courses: Mapping[str, Course], end: float, rule: RecoveryRule
+    records: Sequence[EventRecord],
+    begun: Iterable[tuple[str, ...]],
+    courses: Mapping[str, Course],
+    end: float,
+    rule: RecoveryRule,
 ) -> Recovered:
-    events = [(record.at, record.tasks) for record in records]
+    """``begun``: for each record, the tasks that have to run."""
+    events = [(record.at, tasks) for record, tasks in zip(records, begun, strict=True)]
     return list(zip(records, compute_recoveries(courses, events, end, rule), strict=True))
 
 
@@ -138,6 +147,7 @@ def _summarize_event(runs: Sequence[Recovered]) -> EventResult:
         event=records[0].event,
         kind=records[0].kind,
         subject=records[0].subject,
+        runs=len(runs),
         failed=sum(bool(record.error) for record in records),
         at=estimate_usable_values(run[0][0].at for run in runs),
         recoveries=_summarize_recoveries(runs),

@@ -13,10 +13,12 @@ import simpy
 
 from edgectl.executor.diff import diff_assignment
 from edgectl.experiments.model.mission_event import select_present_tasks
-from edgectl.experiments.model.scenario import Scenario, SimJob, SimRun
+from edgectl.experiments.model.scenario import Scenario, SimJob, SimRun, SimTiming
 from edgectl.experiments.simulator_events import start_events
+from edgectl.experiments.simulator_flows import get_job_speed
 from edgectl.experiments.simulator_oracle import assign_by_oracle
-from edgectl.experiments.simulator_probe import simulate_probe
+from edgectl.experiments.simulator_probe import pass_probe, simulate_probe
+from edgectl.experiments.simulator_speeds import notify_change, update_speeds
 from edgectl.experiments.simulator_state import (
     HostMeter,
     NormalDraw,
@@ -27,15 +29,24 @@ from edgectl.experiments.simulator_state import (
     compute_host_usage,
     integrate_loads,
     list_external_placements,
-    notify_change,
-    update_speeds,
 )
+from edgectl.model.assignment import Reason
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import Placement
 from edgectl.model.plan import Action, Step
 from edgectl.model.policy import Policy
 from edgectl.model.task import Task, Tasks
 from edgectl.scheduler.assign import assign
+
+# Of decisions for which it does not matter how much anything uses.
+_REASONS_WITHOUT_READINGS = (
+    Reason.NEVER_MOVED,
+    Reason.ONBOARD_LOCAL,
+    Reason.DONE,
+    Reason.UNMANAGED,
+    Reason.PREDECESSOR_INCOMPLETE,
+    Reason.PREDECESSOR_MISSING,
+)
 
 
 def draw_no_jitter(_stream: str) -> float:
@@ -125,11 +136,11 @@ def _run_job(
     if robot is not None:
         state.robot_work[robot] = state.robot_work.get(robot, 0.0) + work
     yield simpy.AllOf(state.env, before)
-    part = state.working[job.name] = SimWork(task=job.task, robot=robot, since=state.env.now)
+    part = state.working[job.name] = SimWork(job=job, robot=robot, since=state.env.now)
     if state.scenario.events:
         notify_change(state)
     while work > 1e-9:
-        part.speed, part.since, part.left = state.speeds.get(job.task, 0.0), state.env.now, work
+        part.speed, part.since, part.left = get_job_speed(state, job), state.env.now, work
         changed = state.changed
         yield (
             simpy.AnyOf(state.env, [changed, state.env.timeout(work / part.speed)])
@@ -154,24 +165,45 @@ def _run_job(
 
 def _run_manager(state: SimState) -> Generator[Any, Any, None]:
     """The manager's endless loop: probe, plan, apply, wait."""
+    timing = state.scenario.timing
     while True:
+        began = state.env.now
+        if timing.probe:
+            yield state.env.timeout(timing.probe)
         plan = _plan_cycle(state)
         state.unplaced += sum(step.action is Action.UNPLACED for step in plan)
         steps = [step for step in plan if step.action.changes]
         state.starting = {step.task for step in steps if step.decision.host is not None}
         actions = [state.env.process(_run_step(state, step)) for step in steps]
         yield simpy.AllOf(state.env, actions)
-        yield state.env.timeout(state.scenario.timing.every)
+        if steps and timing.apply:
+            yield state.env.timeout(timing.apply)
+        yield state.env.timeout(_compute_pause_s(timing, state.env.now - began))
+
+
+def _compute_pause_s(timing: SimTiming, taken: float) -> float:
+    return timing.every - math.fmod(taken, timing.every) if timing.paced else timing.every
 
 
 def _plan_cycle(state: SimState) -> tuple[Step, ...]:
+    """Probe and plan. A plan for which no reading counts stands until something else changes (ADR 137)."""
+    if state.standing is not None and len(state.samples) == len(state.scenario.hosts):
+        pass_probe(state)
+        return state.standing
     snapshot = simulate_probe(state)
     assignment = assign(
         state.inventory, state.tasks, snapshot, state.manager, state.policy, state.env.now, explain=False
     )
     if state.oracle:
         assignment = assign_by_oracle(state, assignment)
-    return diff_assignment(assignment, state.tasks, snapshot, state.manager)
+    plan = diff_assignment(assignment, state.tasks, snapshot, state.manager)
+    state.standing = plan if not state.oracle and not any(map(_may_change, plan)) else None
+    return plan
+
+
+def _may_change(step: Step) -> bool:
+    """Whether the next plan may have another step although only readings and the time are others."""
+    return step.action.changes or step.decision.reason not in _REASONS_WITHOUT_READINGS
 
 
 def _run_step(state: SimState, step: Step) -> Generator[Any, Any, None]:

@@ -14,13 +14,14 @@ from edgectl.experiments.model.mission_event import (
     begin_record,
     select_present_tasks,
 )
+from edgectl.experiments.simulator_flows import get_job_speed
+from edgectl.experiments.simulator_speeds import update_speeds
 from edgectl.experiments.simulator_state import (
     Overlay,
     SimState,
     SimTask,
     integrate_loads,
     list_external_placements,
-    update_speeds,
 )
 
 # Work (s) below which a share of the mission counts as reached.
@@ -59,7 +60,11 @@ def _begin_change(state: SimState, event: MissionEvent) -> int:
     state.happening = {**others, event.name: event}
     state.happened.add(event.name)
     state.overlay = _build_overlay(state)
-    state.records.append(begin_record(event, state.env.now, state.all_tasks))
+    record = begin_record(event, state.env.now, state.all_tasks)
+    state.records.append(record)
+    for name in record.tasks:
+        if name in state.left:
+            state.courses.setdefault(name, [])
     BEGIN_SIMULATED.get(event.change, _change_nothing_else)(state, event)
     update_speeds(state)
     return len(state.records) - 1
@@ -152,7 +157,7 @@ def _find_next_progress_s(state: SimState, progress: RobotProgress | None) -> fl
     if progress is None:
         return None
     speed = sum(
-        state.speeds.get(part.task, 0.0) for part in state.working.values() if part.robot == progress.robot
+        get_job_speed(state, part.job) for part in state.working.values() if part.robot == progress.robot
     )
     missing = _compute_missing_work_s(state, progress)
     return missing / speed if speed > 0.0 and missing > _WORK_TOLERANCE_S else None

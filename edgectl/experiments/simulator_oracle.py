@@ -11,7 +11,8 @@ from dataclasses import replace
 import simpy
 
 from edgectl.experiments.model.scenario import SimJob
-from edgectl.experiments.simulator_state import SimState, SimTask, update_speeds
+from edgectl.experiments.simulator_speeds import update_speeds
+from edgectl.experiments.simulator_state import SimState, SimTask
 from edgectl.model.assignment import Assignment, Decision, Reason, Verdict
 from edgectl.model.task import Task
 from edgectl.scheduler.feasibility import find_rule_against

@@ -4,6 +4,7 @@
 import math
 from dataclasses import replace
 
+from edgectl.experiments.simulator_flows import is_filled_at_times
 from edgectl.experiments.simulator_state import (
     SimSample,
     SimState,
@@ -26,7 +27,7 @@ from edgectl.model.snapshot import (
     TaskState,
 )
 from edgectl.rules.link_turns import choose_links_to_probe, find_link_use
-from edgectl.rules.live_links import add_sample, apply_live_capacities, observe_link
+from edgectl.rules.live_links import add_sample, apply_live_capacities, forget_former_readings, observe_link
 
 # Standard deviation of the logarithm of what a probe of an idle link reads.
 _PROBE_SPREAD = 0.05
@@ -42,10 +43,25 @@ def simulate_probe(state: SimState) -> Snapshot:
         hosts={host: _simulate_host_sample(state, host) for host in state.scenario.hosts},
         manager=state.manager,
     )
-    changes = state.scenario.links or any(
-        event.link is not None or event.lost is not None for event in state.scenario.events
+    return _read_live_links(state, snapshot) if _do_links_change(state) else snapshot
+
+
+def pass_probe(state: SimState) -> None:
+    """A probe of which nobody reads the snapshot: what else it leaves behind, the draws included."""
+    if state.scenario.events or _do_links_change(state):
+        simulate_probe(state)
+        return
+    for _ in state.scenario.hosts:
+        state.draw_normal()
+
+
+def _do_links_change(state: SimState) -> bool:
+    """Whether live capacities of links are read in this scenario."""
+    scenario = state.scenario
+    return scenario.live_links and (
+        bool(scenario.links)
+        or any(event.link is not None or event.lost is not None for event in scenario.events)
     )
-    return _read_live_links(state, snapshot) if changes and state.scenario.live_links else snapshot
 
 
 def _read_live_links(state: SimState, snapshot: Snapshot) -> Snapshot:
@@ -56,12 +72,13 @@ def _read_live_links(state: SimState, snapshot: Snapshot) -> Snapshot:
         for edge, sample in snapshot.hosts.items()
         for robot, link in sample.links.items()
     }
-    known = {
+    observed = {
         pair: observe_link(
             state.histories.get(pair, LinkHistory()), link, now, get_nominal_bytes_per_s(state, *pair)
         )
         for pair, link in seen.items()
     }
+    known = forget_former_readings(observed, now)
     live = apply_live_capacities(snapshot, known, seen, now)
     use = find_link_use(live, {name: each.task.robots for name, each in state.services.items()})
     for edge, robot in choose_links_to_probe(state.inventory, live, known, seen, now, use):
@@ -75,10 +92,10 @@ def _read_live_links(state: SimState, snapshot: Snapshot) -> Snapshot:
 
 def _observe_link(state: SimState, edge: str, robot: str, used: float) -> LinkObservation:
     carries = get_link_bytes_per_s(state, edge, robot)
-    full = used >= carries * (1 - 1e-9)
+    full = used if used >= carries * (1 - 1e-9) else None
     return LinkObservation(
         used_bytes_per_s=used,
-        carries_bytes_per_s=used if full else None,
+        carries_bytes_per_s=carries if is_filled_at_times(state, edge, robot, carries) else full,
         interface="wlan0",
         answered=carries > 0.0,
     )

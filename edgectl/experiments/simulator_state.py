@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""State of a simulation: fair shares of processors and links, task speeds, usage meters."""
+"""State of a simulation: what runs, what events change, what hosts and links give, usage meters."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -8,35 +8,17 @@ from typing import NamedTuple
 import simpy
 
 from edgectl.experiments.model.mission_event import EventRecord, HostLoad, MissionEvent
-from edgectl.experiments.model.scenario import Radio, Scenario, SimHostUsage
+from edgectl.experiments.model.scenario import Scenario, SimHostUsage, SimJob
+from edgectl.experiments.simulator_cycles import Flow
 from edgectl.model.demand import ZERO
-from edgectl.model.inventory import Inventory, Role
+from edgectl.model.inventory import Inventory
 from edgectl.model.link_reading import LinkHistory
 from edgectl.model.manager_state import ManagerState
+from edgectl.model.plan import Step
 from edgectl.model.policy import Policy, PolicyName
-from edgectl.model.resource import CPU, MEMORY, NETWORK
+from edgectl.model.resource import MEMORY
 from edgectl.model.snapshot import LinkSample, TaskSample
 from edgectl.model.task import Task, Tasks
-
-
-def compute_fair_shares(capacity: float, demands: Mapping[str, float]) -> dict[str, float]:
-    """Max-min fair shares of ``capacity`` by name; both in the same unit, >= 0.
-
-    No share exceeds its demand, no unsatisfied name gets less than another, and nothing is left while a name
-    is unsatisfied. A kernel's fair scheduler, and flows over one bottleneck, come close to this.
-    """
-    shares = dict.fromkeys(demands, 0.0)
-    left, unsatisfied = capacity, sorted(demands, key=lambda name: (demands[name], name))
-    while unsatisfied:
-        share = left / len(unsatisfied)
-        name = unsatisfied[0]
-        if demands[name] >= share:
-            return shares | dict.fromkeys(unsatisfied, share)
-        shares[name] = demands[name]
-        left -= demands[name]
-        unsatisfied.pop(0)
-    return shares
-
 
 # A draw from the standard normal distribution.
 NormalDraw = Callable[[], float]
@@ -44,8 +26,6 @@ NormalDraw = Callable[[], float]
 UniformDraw = Callable[[str], float]
 # Capacity of a link without one in the inventory: 54 Mbit/s, the default of the gateway.
 _DEFAULT_LINK_BYTES_PER_S = 6.75e6
-# No name of a task begins so.
-_BASE_LOAD_NAME = " "
 
 
 @dataclass(slots=True, kw_only=True)
@@ -85,9 +65,9 @@ class Overlay:
 
 @dataclass(slots=True, kw_only=True)
 class SimWork:
-    """A job that is worked on: the speed of its task ``since`` then, and the robot that it serves alone."""
+    """A job that is worked on: its speed ``since`` then, and the robot that it serves alone."""
 
-    task: str
+    job: SimJob
     robot: str | None
     since: float
     speed: float = 0.0
@@ -108,15 +88,16 @@ class SimState:
     """The mutable state of one run.
 
     By task: ``cores`` and ``rates`` (bytes/s by robot) are its current shares, ``speeds`` its current speed,
-    0..1; ``left`` counts its unfinished jobs. ``done``: jobs that are over, where links or events depend on
-    them.
+    0..1; ``flows`` has the last known one of tasks with cycles; ``left`` counts its unfinished jobs.
+    ``done``: jobs that are over, where links or events depend on them.
     ``histories``: readings of links by (edge, robot). ``reference``: the first edge, whose capacity scales
     relative demands. ``tasks``: those that have entered, of ``all_tasks``. ``starting``: tasks that a step of
     the plan is about to start. ``happening``: events of which the change holds, by name, as ``overlay`` has
     them; ``happened``: all that ever did. ``working``: jobs in progress; ``robot_work`` and ``robot_done``:
     work by robot, in s, of all its jobs and of those parts of them that are done. ``courses``: with events,
-    by task with work, its speed over time, up to ``course_ends``. ``samples``: what a probe of each host
-    shows until the next change, but for noise.
+    by task with work, its speed over time from its entry or first job up to ``course_ends``. ``samples``:
+    what a probe of each host shows until the next change, but for noise;
+    ``standing``: the plan that is made until then.
     """
 
     env: simpy.Environment
@@ -131,6 +112,7 @@ class SimState:
     cores: dict[str, float] = field(default_factory=dict)
     rates: dict[str, dict[str, float]] = field(default_factory=dict)
     speeds: dict[str, float] = field(default_factory=dict)
+    flows: dict[str, Flow] = field(default_factory=dict)
     meters: dict[str, HostMeter] = field(default_factory=dict)
     left: dict[str, int] = field(default_factory=dict)
     manager: ManagerState = field(default_factory=lambda: ManagerState(managed=True))
@@ -154,6 +136,7 @@ class SimState:
     courses: dict[str, list[tuple[float, float | None]]] = field(default_factory=dict)
     course_ends: dict[str, float] = field(default_factory=dict)
     samples: dict[str, SimSample] = field(default_factory=dict)
+    standing: tuple[Step, ...] | None = None
 
 
 def list_external_placements(state: SimState) -> Iterable[tuple[str, str]]:
@@ -162,102 +145,6 @@ def list_external_placements(state: SimState) -> Iterable[tuple[str, str]]:
         if name in state.tasks.tasks:
             robots = state.tasks.tasks[name].robots
             yield name, robots[0] if state.policy.name is PolicyName.LOCAL and robots else host
-
-
-def update_speeds(state: SimState) -> None:
-    """Recompute all speeds. Before a service changes, `integrate_loads` has to meter the time until then."""
-    state.cores, state.rates, state.speeds = {}, {}, {}
-    state.samples.clear()
-    for host, services in _group_services(state).items():
-        _share_host_resources(state, host, services)
-    if state.scenario.radio is Radio.SHARED:
-        _share_air_time(state)
-    for name, service in state.services.items():
-        demand = _compute_demand_cores(state, service)
-        shares = [state.cores[name] / demand] if demand > 0 else []
-        shares += [
-            rate / _compute_demand_bytes_per_s(state, service, robot)
-            for robot, rate in state.rates[name].items()
-        ]
-        state.speeds[name] = min(shares, default=1.0) if service.ready else 0.0
-    notify_change(state)
-
-
-def _group_services(state: SimState) -> dict[str, dict[str, SimTask]]:
-    """The services of each host that has some, in the order of the hosts."""
-    found: dict[str, dict[str, SimTask]] = {host: {} for host in state.scenario.hosts}
-    for name, service in state.services.items():
-        found[service.host][name] = service
-    return {host: services for host, services in found.items() if services}
-
-
-def notify_change(state: SimState) -> None:
-    """Wake what waits for a change; with events, note how well each task does that has work."""
-    if state.scenario.events:
-        _record_courses(state)
-    state.changed.succeed()
-    state.changed = state.env.event()
-
-
-def _record_courses(state: SimState) -> None:
-    """The speed of each task from its first job to the end of its last one; None while it does not run."""
-    now = state.env.now
-    for part in state.working.values():
-        state.courses.setdefault(part.task, [])
-    for name, points in state.courses.items():
-        if state.left[name] == 0:
-            state.course_ends.setdefault(name, now)
-            continue
-        service = state.services.get(name)
-        value = state.speeds[name] if service is not None and service.ready else None
-        if points and points[-1][0] == now:
-            points.pop()
-        if not points or points[-1][1] != value:
-            points.append((now, value))
-
-
-def _share_host_resources(state: SimState, host: str, services: Mapping[str, SimTask]) -> None:
-    """Share the CPU and the links of one host. A starting task uses CPU already, but no link."""
-    machine = state.scenario.hosts[host]
-    demands = {name: _compute_demand_cores(state, service) for name, service in services.items()}
-    others = {
-        f"{_BASE_LOAD_NAME}{number}": load.cpu
-        for number, load in enumerate(state.overlay.loads.get(host, ()), start=1)
-    }
-    shares_by_name = compute_fair_shares(
-        machine.cores, {**demands, **others, _BASE_LOAD_NAME: machine.base_cores}
-    )
-    state.cores.update((name, shares_by_name[name]) for name in demands)
-    state.rates.update((name, {}) for name in services)
-    if state.inventory.hosts[host].role is Role.ROBOT:
-        return  # a task on a robot needs no link
-    for robot in dict.fromkeys(robot for service in services.values() for robot in service.task.robots):
-        rates = {
-            name: _compute_demand_bytes_per_s(state, service, robot)
-            for name, service in services.items()
-            if service.ready and robot in service.task.robots
-        }
-        for name, rate in compute_fair_shares(get_link_bytes_per_s(state, host, robot), rates).items():
-            if rates[name] > 0:
-                state.rates[name][robot] = rate
-
-
-def _share_air_time(state: SimState) -> None:
-    """Lower the rates to what one channel carries: each flow takes the share of the time that it takes of its
-    link, and the channel divides its time fairly (max-min).
-    """
-    times = {
-        f"{name} {robot}": rate / get_link_bytes_per_s(state, state.services[name].host, robot)
-        for name, rates in state.rates.items()
-        for robot, rate in rates.items()
-        if rate > 0
-    }
-    shares = compute_fair_shares(1.0, times)
-    for name, rates in state.rates.items():
-        for robot in rates:
-            time = times.get(f"{name} {robot}")
-            if time is not None:
-                rates[robot] *= shares[f"{name} {robot}"] / time
 
 
 def get_nominal_bytes_per_s(state: SimState, host: str, robot: str) -> float:
@@ -279,30 +166,12 @@ def get_link_bytes_per_s(state: SimState, host: str, robot: str) -> float:
     return found
 
 
-def _compute_demand_cores(state: SimState, service: SimTask) -> float:
-    """CPU demand in cores.
-
-    A relative demand is a share of the first edge, where it was measured, on every host.
-    """
-    changed = state.overlay.demands.get(service.task.name)
-    if changed is not None and CPU.name in changed:
-        return changed[CPU.name]
-    return (service.task.demand["cpu"] or ZERO).of(state.scenario.hosts[state.reference].cores)
-
-
 def compute_demand_bytes(state: SimState, service: SimTask) -> float:
     """Memory that the task uses, in bytes."""
     changed = state.overlay.demands.get(service.task.name)
     if changed is not None and MEMORY.name in changed:
         return changed[MEMORY.name]
     return (service.task.demand["memory"] or ZERO).of(state.scenario.hosts[state.reference].memory)
-
-
-def _compute_demand_bytes_per_s(state: SimState, service: SimTask, robot: str) -> float:
-    changed = state.overlay.demands.get(service.task.name)
-    if changed is not None and NETWORK.name in changed:
-        return changed[NETWORK.name]
-    return (service.task.demand["network"] or ZERO).of(get_nominal_bytes_per_s(state, state.reference, robot))
 
 
 def integrate_loads(state: SimState) -> None:

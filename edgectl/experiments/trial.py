@@ -79,10 +79,11 @@ def run_trial(
     means = EventMeans(fleet=trial_fleet, ask=options.ask, ended=threading.Event())
     # Draws of a policy are those of the repetition, as the times of events.
     policy = replace(scheme.policy, seed=repetition)
-    with EventPerformer(experiment.events, means, build_uniform_draw(str(repetition))) as performer:
+    draw_uniform = build_uniform_draw(str(repetition))
+    with EventPerformer(experiment.events, means, draw_uniform, until=experiment.until) as performer:
         watch_options = _build_watch_options(trial_fleet, experiment, policy, recorder, performer, options)
         first = replace(trial_fleet, tasks=select_present_tasks(fleet.tasks, experiment.events, ()))
-        if not _watch_mission(first, experiment, recorder, performer, watch_options, options.listener):
+        if not _watch_mission(first, experiment, recorder, watch_options, options.listener):
             return None
         ended = trial_fleet.clock()
         events = performer.finish()
@@ -113,6 +114,7 @@ def _build_watch_options(
         probe=ProbeOptions(window=window, timeout=_TRIAL_PROBE_TIMEOUT_S, totals=True),
         policy=begin_and_get_policy,
         refresh=_build_refresh(trial_fleet, experiment, performer),
+        on_sample=performer.see_snapshot,
         execution=ApplyOptions(progress=lambda event: recorder.record_progress(event, trial_fleet.clock())),
         control=options.control,
     )
@@ -139,7 +141,6 @@ def _watch_mission(
     fleet: Fleet,
     experiment: Experiment,
     recorder: TrialRecorder,
-    performer: EventPerformer,
     watch_options: WatchOptions,
     listener: CycleListener,
 ) -> bool:
@@ -153,7 +154,6 @@ def _watch_mission(
             if recorder.finished or recorder.has_given_up or over:
                 _record_closing(cycles, recorder, watch_options.control)
                 return True
-            performer.see_cycle(cycle)
     return False
 
 

@@ -11,6 +11,7 @@ from typing import TypeVar
 from edgectl.experiments.mission_usage import UsageCounters
 from edgectl.experiments.model.experiment import (
     HandoffRecord,
+    LinkCapacity,
     LoadSample,
     MetricReading,
     PlacementInterval,
@@ -25,7 +26,7 @@ from edgectl.model.result import ActionResult, Outcome, Phase
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
 
 TaskHostPair = tuple[str, str]  # task, host
-Timed = TypeVar("Timed", LoadSample, MetricReading, HandoffRecord, EventRecord)
+Timed = TypeVar("Timed", LoadSample, LinkCapacity, MetricReading, HandoffRecord, EventRecord)
 
 
 class TrialRecorder:
@@ -46,6 +47,7 @@ class TrialRecorder:
         self._intervals: list[tuple[TaskHostPair, float, float]] = []
         self._handoffs: list[HandoffRecord] = []
         self._loads: dict[str, list[LoadSample]] = {}
+        self._links: dict[str, dict[str, list[LinkCapacity]]] = {}
         self._readings: dict[str, dict[str, list[MetricReading]]] = {}
         self._latencies: dict[str, dict[str, LatencySample]] = {}
         self._ended_instances: set[str] = set()
@@ -120,6 +122,10 @@ class TrialRecorder:
                 for name, tasks in sorted(self._readings.items())
             },
             ssim=ssim,
+            links={
+                edge: {robot: tuple(_rebase_on_trial_start(found, began)) for robot, found in links.items()}
+                for edge, links in self._links.items()
+            },
             usage=self._counters.compute_usage(began, over),
             events=tuple(_rebase_events(events, began)),
         )
@@ -130,6 +136,7 @@ class TrialRecorder:
             if not host_sample.ok:
                 continue
             self._loads.setdefault(host, []).append(_build_load_sample(host_sample, at))
+            self._record_links(host, host_sample, at)
             for task, sample in host_sample.tasks.items():
                 if sample.managed:
                     self._record_task(task, host, sample, at)
@@ -140,6 +147,14 @@ class TrialRecorder:
             ]
             for place in gone:
                 self._close_interval(place, at)
+
+    def _record_links(self, edge: str, sample: HostSample, at: float) -> None:
+        """Record what its links carry, where that changed."""
+        for robot, link in sample.links.items():
+            found = self._links.setdefault(edge, {}).setdefault(robot, [])
+            now = LinkCapacity(at=at, bytes_per_s=link.capacity_bytes_per_s, source=link.capacity_source)
+            if not found or replace(found[-1], at=at) != now:
+                found.append(now)
 
     def _record_task(self, task: str, host: str, sample: TaskSample, at: float) -> None:
         """Record one task on one host."""

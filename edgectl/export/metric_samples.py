@@ -210,6 +210,14 @@ def sample_steps(read: Callable[[Step], float | None]) -> Sampler:
     return lambda picture: [((step.task,), read(step)) for step in picture.plan.steps]
 
 
+def sample_pins(picture: MetricsInput) -> Iterable[MetricSample]:
+    """One sample per task that an operator has pinned: whether that counts now."""
+    for step in picture.plan.steps:
+        pin = step.decision.pin
+        if pin is not None:
+            yield (step.task, pin.host), float(pin.set_aside is None)
+
+
 def count_planned_actions(picture: MetricsInput) -> Iterable[MetricSample]:
     """One sample per action: the number of tasks of the plan with it."""
     return [((action.value,), float(picture.plan.summary.get(action, 0))) for action in Action]

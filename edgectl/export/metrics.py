@@ -248,6 +248,12 @@ METRICS = (
         read=metric_samples.sample_steps(lambda step: float(step.action is Action.UNPLACED)),
     ),
     MetricDefinition(
+        name="edgectl_task_pinned",
+        help="1 while the pin of edgectl move holds the task to the host, 0 while it is set aside.",
+        labels=_RUN_LABELS,
+        read=metric_samples.sample_pins,
+    ),
+    MetricDefinition(
         name="edgectl_plan_actions",
         help="Number of tasks that an apply would now start, stop, move, keep and so on.",
         labels=("action",),

@@ -37,7 +37,7 @@ HostCallback = Callable[[str, HostSample, float], None]
 LinksCallback = Callable[[Mapping[tuple[str, str], LinkObservation]], None]
 
 
-def _ignore_host(_name: str, _sample: HostSample, _seconds: float) -> None:
+def ignore_host(_name: str, _sample: HostSample, _seconds: float) -> None:
     """Report nothing."""
 
 
@@ -75,7 +75,7 @@ class ProbeOptions:
     placed: Mapping[str, str] = field(default_factory=dict)
     totals: bool = False
     probe_idle_links: bool = False
-    on_host: HostCallback = _ignore_host
+    on_host: HostCallback = ignore_host
     on_links: LinksCallback = _ignore_links
 
 

@@ -58,6 +58,7 @@ class EachAlone:
 Instant = Annotated[float, InstantFormat()]
 Positive = Annotated[float, Bounds(above=True)]
 Signed = Annotated[float, Bounds(minimum=None)]
+Share = Annotated[float, Bounds(maximum=1.0)]
 SignedInt = Annotated[int, Bounds(minimum=None)]
 FromOne = Annotated[int, Bounds(minimum=1)]
 Columns = Annotated[tuple[Item, ...], ColumnFormat()]

@@ -5,7 +5,7 @@ from enum import StrEnum
 
 from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Decision
-from edgectl.model.policy import Weights
+from edgectl.model.policy import PolicyName, Weights
 
 
 class ChangeKind(StrEnum):
@@ -94,7 +94,8 @@ class Explanation:
     ``linear``: whether eq. (4) is linear in the load of each link, which it is
     not for a task of several robots. ``tie``: hosts that are equal. ``pin``: the host that the task file
     pins it to. ``deadline_ms`` of the task, where it states one. ``bends``: its predicted latency counts,
-    which is not linear in any load.
+    which is not linear in any load. ``rule``: the policy, where it has a rule of its own instead of utilities
+    that are weighed against each other.
     """
 
     decision: Decision
@@ -110,6 +111,7 @@ class Explanation:
     pin: str | None = None
     deadline_ms: float | None = None
     bends: bool = False
+    rule: PolicyName | None = None
 
     @property
     def fragile(self) -> bool:

@@ -97,6 +97,7 @@ class Policy:
     ``rebalance``: relocate and swap tasks for a greater sum of utilities (ADR 66).
     ``optimal``: find the best plan with a solver, and prove how good it is (ADR 71).
     ``seed``: of the draws of the policies that place at random (ADR 130).
+    ``terms``: the plugins whose ratings make UT_rating (ADR 149).
     """
 
     name: PolicyName = field(default=PolicyName.UTILITY, metadata=in_document("policy", required=True))
@@ -116,3 +117,4 @@ class Policy:
     optimal: bool = field(default=False, metadata=in_document("options.optimal"))
     prefer: Preference = field(default=Preference.SPREAD, metadata=in_document("options.prefer"))
     seed: int = field(default=0, metadata=in_document("options.seed"))
+    terms: tuple[str, ...] = field(default=(), metadata=in_document("options.terms"))

@@ -139,9 +139,11 @@ RESOURCES_BY_NAME: Mapping[str, Resource] = MappingProxyType(
 AFFINITY = "task"
 # The term of what the robot feels (ADR 120), weighed only on request.
 LATENCY = "latency"
-TERMS = (*RESOURCES_BY_NAME, AFFINITY, LATENCY)
+# The term that plugins give (ADR 149), weighed only on request.
+RATING = "rating"
+TERMS = (*RESOURCES_BY_NAME, AFFINITY, LATENCY, RATING)
 # Terms that documents leave out at their default: few fleets have them.
-SPARE_TERMS = frozenset({LATENCY, *(resource.name for resource in RESOURCES if resource.optional)})
+SPARE_TERMS = frozenset({LATENCY, RATING, *(resource.name for resource in RESOURCES if resource.optional)})
 
 
 class ResourceMap(dict[str, Value]):

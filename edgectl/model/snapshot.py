@@ -10,7 +10,7 @@ from enum import StrEnum
 
 from edgectl.agent.link import protocol
 from edgectl.dataclass import dataclass
-from edgectl.model.encoding import Instant, Positive, Signed, SignedInt, in_document
+from edgectl.model.encoding import Instant, Positive, Share, Signed, SignedInt, in_document
 from edgectl.model.inventory import Role
 from edgectl.model.latency import LatencySample
 from edgectl.model.manager_state import ManagerState
@@ -290,15 +290,25 @@ class HostSample:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class TermRatings:
+    """What a plugin says of hosts: by task, each host in 0..1. ``package``: its distribution and version."""
+
+    package: Text
+    tasks: Mapping[str, Mapping[str, Share]] = field(metadata=in_document("rated"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
     """The fleet at ``taken_at``.
 
-    ``manager``, where present, makes the snapshot enough to repeat a decision.
+    ``manager``, where present, makes the snapshot enough to repeat a decision; so do ``ratings``, by plugin,
+    where the policy weighs them (ADR 149).
     """
 
     taken_at: Instant
     hosts: Mapping[str, HostSample]
     manager: ManagerState | None = None
+    ratings: Mapping[str, TermRatings] = field(default_factory=dict)
 
     @property
     def silent_hosts(self) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from edgectl.model.link_reading import LinkHistory, LinkObservation
 from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, TaskSample
 from edgectl.rules.live_links import (
     BUDGET_S,
+    FRESH_S,
     MAX_SAMPLES,
     SAMPLE_S,
     Histories,
@@ -42,8 +43,8 @@ _UNUSED_WEIGHT = 0.25
 class Urgency(IntEnum):
     """Why a link is probed, most urgent first.
 
-    The link of the robot's tasks fell since; its own round trips are longer, or it was not probed for long;
-    the robot's tasks suffer; its turn.
+    The link of the robot's tasks fell, and its own reading is older; its own round trips are longer, or it
+    was not probed for long; the robot's tasks suffer; its turn.
     """
 
     FELL = 0
@@ -185,7 +186,7 @@ def _find_urgency(
         if other == pair or other[1] != robot:
             continue
         known, link = histories.get(other, LinkHistory()), snapshot.hosts[other[0]].links[robot]
-        if _carries_less(link) and known.fell_at > _find_last_reading(own):
+        if _carries_less(link) and known.fell_at - FRESH_S > _find_last_reading(own):
             return Urgency.FELL
         slowed = other in observations and _has_slowed(known, observations[other])
         suffers = suffers or slowed or _carries_less(link)

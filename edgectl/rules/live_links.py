@@ -31,6 +31,8 @@ _FALL_TRAFFIC_SHARE = 0.5
 SAMPLE_S = 0.09
 MAX_SAMPLES = 3
 BUDGET_S = 100 * SAMPLE_S * MAX_SAMPLES
+# A reading so much older than the fall of the link that a robot's tasks use is of where the robot was before.
+FRESH_S = BUDGET_S / MAX_SAMPLES
 # A robot that has answered an edge once, and then left so many probes over so long a time unanswered, is cut
 # off (ADR 0097).
 _SILENT_PROBES, _SILENT_S = 3, 5.0
@@ -41,14 +43,31 @@ def observe_link(
     known: LinkHistory, seen: LinkObservation, now: float, nominal: float = math.inf
 ) -> LinkHistory:
     """The history with what a probe of the hosts saw: an answer of the robot or none, a connection that the
-    link limits, or traffic that refutes the readings.
+    link limits, or traffic that refutes the readings. A fall that bursts show counts at once, since the
+    traffic of the whole window stays below it; else the mean with the reading before.
 
     ``nominal``: bytes/s that it carries where nothing was read of it.
     """
     known = _note_answer(known, seen, now)
     if seen.carries_bytes_per_s:
-        return _add_reading(known, seen.carries_bytes_per_s, CapacitySource.TCP, now, nominal)
+        found = _add_reading(known, seen.carries_bytes_per_s, CapacitySource.TCP, now, nominal)
+        # A connection that sends all the time is all of the traffic, and is read again with the next plan.
+        in_bursts = seen.used_bytes_per_s < seen.carries_bytes_per_s
+        return replace(found, readings=found.readings[-1:]) if in_bursts and found.fell_at == now else found
     return _refute_readings(_confirm_fall(known, seen.used_bytes_per_s), seen.used_bytes_per_s, now)
+
+
+def forget_former_readings(known: Histories, now: float) -> dict[Pair, LinkHistory]:
+    """The histories without readings of where a robot was before: when the link of its tasks falls ``now``,
+    older ones of its other links say no more than what is declared.
+    """
+    fell = {robot for (_, robot), each in known.items() if each.fell_at == now}
+    return {
+        pair: replace(each, readings=tuple(one for one in each.readings if one.at > now - FRESH_S))
+        if pair[1] in fell
+        else each
+        for pair, each in known.items()
+    }
 
 
 def _confirm_fall(known: LinkHistory, rate: float) -> LinkHistory:

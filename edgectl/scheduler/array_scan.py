@@ -5,7 +5,7 @@ Every operation is that of ``scan``, element by element and in the same order, s
 same to the last bit. Imported only where it pays and where NumPy is installed.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
 from math import inf
 
@@ -15,83 +15,76 @@ from numpy.typing import NDArray
 from edgectl.dataclass import dataclass
 from edgectl.model.demand import ZERO, Demand, Quantity
 from edgectl.model.policy import Weights
-from edgectl.model.resource import NETWORK, NOTHING
+from edgectl.model.resource import HOST_RESOURCES, NETWORK
 from edgectl.model.task import Task
+from edgectl.scheduler.array_demands import MeasuredRows, build_measured_rows
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.demand import OTHER_CLASS
 from edgectl.scheduler.ledger import NO_FREE_SHARE, Ledger
-from edgectl.scheduler.scan import (
-    EXCLUDED_TOTAL,
-    INFEASIBLE_PENALTY,
-    MAX_CACHED_SHARES,
-    is_feasible_total,
-    list_limiting_resources,
-)
+from edgectl.scheduler.scan import EXCLUDED_TOTAL, INFEASIBLE_PENALTY, MAX_CACHED_SHARES, is_feasible_total
 from edgectl.scheduler.utility import EPSILON
 
 Array = NDArray[np.float64]
+_HOST_NAMES = tuple(resource.name for resource in HOST_RESOURCES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArrayShares:
     """Demands as shares of capacity at every edge, as ``scan.DemandShares`` has them.
 
-    ``raw`` and ``usable``: one row for each of ``names``, the resources of hosts that count. ``kinds`` are
-    the classes of hosts, ``kind_of`` the index of each edge's class. ``stated`` is what is kept of tasks
-    without a history of their own: rows and weighted sum by quantities; ``units``: of the links to one
-    robot, what one byte/s is a share of, and what the nominal capacity is.
+    ``raw`` and ``usable``: one row per resource of hosts. ``kinds`` are the classes of hosts, ``kind_of`` the
+    index of each edge's class. ``stated`` is what is kept of tasks without a history of their own: rows and
+    weighted sum by quantities; ``measured`` is of the others. ``units``: of the links to one robot, what one
+    byte/s is a share of, and what the nominal capacity is; ``divisors``: their capacities, infinite where
+    there is none.
     """
 
     fleet: Capacities
-    names: tuple[str, ...]
     raw: Array
     usable: Array
     links: dict[str, Array]
     nominal_links: dict[str, Array]
     kinds: tuple[str, ...]
     kind_of: NDArray[np.intp]
+    measured: MeasuredRows
     stated: dict[object, tuple[Array, Array]] = field(default_factory=dict)
     units: dict[tuple[str, bool], Array] = field(default_factory=dict)
+    divisors: dict[str, Array] = field(default_factory=dict)
 
     def of_hosts(self, task: Task, weights: Weights) -> tuple[Array, Array]:
         """D / Delta of the resources of hosts, one row each, and the sum of weight x (d / Delta)."""
-        by_class, floor = self.fleet.demands.get(task.name), self.fleet.floors.get(task.name)
-        if by_class is None:
-            found = self._get_stated_rows(task.demand, weights)
-            if floor is None:
-                return found
-            rows = found[0]
+        number, floor = self.measured.index.get(task.name), self.fleet.floors.get(task.name)
+        if number is None:
+            rows, weighted = self._get_stated_rows(task.demand, weights)
         else:
-            rows = self._build_rows([self._list_by_kind(by_class, name) for name in self.names])
-        if floor is not None:
-            rows = rows.copy()
-            for index, name in enumerate(self.names):
-                if name in floor.used:
-                    rows[index] = _raise(rows[index], floor.used[name], self.usable[index])
-        return rows, self._add_weighted(rows, weights)
+            found = self.measured.find_shares(number)
+            rows, weighted = found[:-1], found[-1]
+        if floor is None:
+            return rows, weighted
+        rows = rows.copy()
+        for index, name in enumerate(_HOST_NAMES):
+            if name in floor.used:
+                rows[index] = _raise(rows[index], floor.used[name], self.usable[index])
+        return rows, _add_weighted(rows, weights)
+
+    def weigh_hosts(self, task: Task, weights: Weights) -> Array:
+        """The weighted sum of `of_hosts` alone, of a task that was not measured to use more."""
+        number = self.measured.index.get(task.name)
+        if number is None:
+            return self._get_stated_rows(task.demand, weights)[1]
+        return self.measured.find_weighted(number)
 
     def _get_stated_rows(self, demand: Demand, weights: Weights) -> tuple[Array, Array]:
-        quantities = [demand[name] or ZERO for name in self.names]
+        quantities = [demand[name] or ZERO for name in _HOST_NAMES]
         # Numbers: the hash of a quantity costs as much as a row operation.
         key = tuple([number for each in quantities for number in (each.value, each.relative)])
         found = self.stated.get(key)
         if found is None:
             rows = self._build_rows([[quantity] for quantity in quantities])
-            if len(self.stated) * self.fleet.edges > MAX_CACHED_SHARES / len(self.names):
+            if len(self.stated) * self.fleet.edges > MAX_CACHED_SHARES / len(_HOST_NAMES):
                 self.stated.clear()
-            found = self.stated[key] = rows, self._add_weighted(rows, weights)
+            found = self.stated[key] = rows, _add_weighted(rows, weights)
         return found
-
-    def _add_weighted(self, rows: Array, weights: Weights) -> Array:
-        """The sum of weight x share over the resources of hosts."""
-        total: Array = np.zeros(rows.shape[1])
-        for name, row in zip(self.names, rows, strict=True):
-            total += weights[name] * row
-        return total
-
-    def _list_by_kind(self, by_class: Mapping[str, Demand], name: str) -> list[Quantity]:
-        other = by_class[OTHER_CLASS]
-        return [by_class.get(kind, other)[name] or ZERO for kind in self.kinds]
 
     def _build_rows(self, quantities: Sequence[Sequence[Quantity]]) -> Array:
         """Rho / Delta by resource of hosts and edge; ``quantities`` by resource, and by class or of all."""
@@ -112,17 +105,30 @@ class ArrayShares:
 
     def of_link(self, task: Task, robot: str) -> Array:
         """D / Delta of every edge's link to ``robot``."""
-        by_class, floor = self.fleet.demands.get(task.name), self.fleet.floors.get(task.name)
-        if by_class is None:
+        number, floor = self.measured.index.get(task.name), self.fleet.floors.get(task.name)
+        if number is None:
             stated = task.demand[NETWORK.name] or ZERO
             row = stated.value * self._get_unit(robot, relative=stated.relative)
         else:
-            quantities = [self._list_by_kind(by_class, NETWORK.name)]
-            amounts = self._list_amounts(quantities, self.nominal_links[robot][np.newaxis])
-            row = _divide(amounts[0], self.links[robot])
+            row = self._build_measured_link(task, number, robot)
         if floor is None or robot not in floor.links:
             return row
         return _raise(row, floor.links[robot], self.links[robot])
+
+    def _build_measured_link(self, task: Task, number: int, robot: str) -> Array:
+        rates = self.measured.find_rates(number)
+        if rates is None:
+            found = self.fleet.demands[task.name]
+            quantities = [[found.at(kind)[NETWORK.name] or ZERO for kind in self.kinds]]
+            rates = self._list_amounts(quantities, self.nominal_links[robot][np.newaxis])[0]
+        elif not isinstance(rates, float):
+            rates = rates.take(self.kind_of)
+        divisor = self.divisors.get(robot)
+        if divisor is None:
+            capacity = self.links[robot]
+            divisor = self.divisors[robot] = np.where(capacity > 0.0, capacity, inf)
+        row: Array = rates / divisor
+        return row
 
     def _get_unit(self, robot: str, *, relative: bool) -> Array:
         """By edge, one byte/s of the link to ``robot`` as a share of what it carries now; or its nominal
@@ -140,6 +146,14 @@ class ArrayShares:
         return unit
 
 
+def _add_weighted(rows: Array, weights: Weights) -> Array:
+    """The sum of weight x share over the resources of hosts."""
+    total: Array = np.zeros(rows.shape[1])
+    for name, row in zip(_HOST_NAMES, rows, strict=True):
+        total += weights[name] * row
+    return total
+
+
 def _divide(amounts: Array, capacity: Array) -> Array:
     """The amounts as shares; 0 where there is no capacity."""
     return np.divide(amounts, capacity, out=np.zeros(capacity.shape), where=capacity > 0)
@@ -151,20 +165,22 @@ def _raise(row: Array, amount: float, capacity: Array) -> Array:
     return np.where(capacity != 0.0, np.maximum(row, least), 0.0)
 
 
-def build_array_shares(fleet: Capacities) -> ArrayShares:
-    """Empty shares of ``fleet``."""
+def build_array_shares(fleet: Capacities, weights: Weights, names: Iterable[str]) -> ArrayShares:
+    """Empty shares of ``fleet``. ``names``: of the tasks, in the order in which they will be asked for."""
     edges = fleet.edges
     kinds = tuple(dict.fromkeys(fleet.classes[:edges])) or (OTHER_CLASS,)
     places = {kind: index for index, kind in enumerate(kinds)}
+    kind_of = np.array([places[kind] for kind in fleet.classes[:edges]] or [0] * edges, dtype=np.intp)
+    measured = [name for name in names if name in fleet.demands]
     return ArrayShares(
         fleet=fleet,
-        names=fleet.counted,
-        raw=np.array([fleet.raw[name][:edges] for name in fleet.counted]),
-        usable=np.array([fleet.usable[name][:edges] for name in fleet.counted]),
+        raw=np.array([fleet.raw[name][:edges] for name in _HOST_NAMES]),
+        usable=np.array([fleet.usable[name][:edges] for name in _HOST_NAMES]),
         links=_build_link_arrays(fleet.links),
         nominal_links=_build_link_arrays(fleet.nominal_links),
         kinds=kinds,
-        kind_of=np.array([places[kind] for kind in fleet.classes[:edges]] or [0] * edges, dtype=np.intp),
+        kind_of=kind_of,
+        measured=build_measured_rows(fleet, measured, kinds, kind_of, weights),
     )
 
 
@@ -174,19 +190,18 @@ def _build_link_arrays(links: Mapping[str, Sequence[float | None]]) -> dict[str,
 
 @dataclass(slots=True, kw_only=True)
 class FreeArrays:
-    """The free shares of a ledger by edge, kept in step with it. ``free``: one row for each of ``names``.
+    """The free shares of a ledger by edge, kept in step with it. ``free``: one row per resource of hosts.
     ``weighted``: under ``weights``.
     """
 
-    names: tuple[str, ...]
     free: Array
     free_links: dict[str, Array]
     weighted: Array
 
     def set_free(self, place: int, name: str, share: float) -> None:
         """Follow a change of one resource."""
-        if place < len(self.weighted) and name in self.names:
-            self.free[self.names.index(name), place] = share
+        if place < len(self.weighted):
+            self.free[_HOST_NAMES.index(name), place] = share
 
     def set_link(self, place: int, robot: str, share: float) -> None:
         """Follow a change of one link."""
@@ -236,6 +251,23 @@ class ArrayTotals:
         places: list[int] = (row >= level).nonzero()[0].tolist()
         return places
 
+    def find_leaders(self) -> tuple[int, int | None] | None:
+        """The first and the second place, the second only if it is feasible; None where none is feasible, or
+        totals are so close that ties decide (`choice.find_best_place`, `ranking.find_challenger`).
+        """
+        row = self.row
+        first = int(row.argmax())
+        top, row[first] = row[first], EXCLUDED_TOTAL
+        second = int(row.argmax())
+        other, row[second] = row[second], EXCLUDED_TOTAL
+        third = row[row.argmax()]
+        row[second], row[first] = other, top
+        if not is_feasible_total(top) or other >= top - EPSILON:
+            return None
+        if not is_feasible_total(other):
+            return first, None
+        return None if third >= other - 2 * EPSILON else (first, second)
+
     def copy(self) -> "ArrayTotals":
         """An independent row with the same totals."""
         return ArrayTotals(self.row.copy())
@@ -252,8 +284,7 @@ class ArrayScan:
         """Let arrays follow ``ledger`` from now on."""
         edges = ledger.fleet.edges
         ledger.mirror = FreeArrays(
-            names=self.shares.names,
-            free=np.array([ledger.free[name][:edges] for name in self.shares.names]),
+            free=np.array([ledger.free[name][:edges] for name in _HOST_NAMES]),
             free_links={robot: np.array(row) for robot, row in ledger.free_links.items()},
             weighted=np.array(ledger.weigh_free(self.weights)[:edges]),
         )
@@ -262,39 +293,31 @@ class ArrayScan:
         """As ``scan.compute_resource_totals``, with ``EXCLUDED_TOTAL`` for the robots after the edges."""
         shares, edges = self.shares, self.shares.fleet.edges
         demanded, weighted = shares.of_hosts(task, self.weights)
-        terms: Array = np.empty((len(shares.names) + 1, edges))
+        terms: Array = np.empty((len(_HOST_NAMES) + 1, edges))
         np.subtract(free.free, demanded, out=terms[:-1])
-        _fill_link_terms(terms[-1], free, shares, task)
+        links = terms[-1]
+        fill_link_terms(links, free, shares, task)
         row: Array = np.empty(len(shares.fleet.places))
         row[edges:] = EXCLUDED_TOTAL
         totals = np.add(free.weighted, offset, out=row[:edges])
         totals -= weighted
-        totals += self.weights[NETWORK.name] * terms[-1]
-        if len(list_limiting_resources(shares.fleet, task)) > len(shares.names) and _demands_nothing_had(
-            shares.fleet, task
-        ):
-            totals -= INFEASIBLE_PENALTY
-        if np.minimum.reduce(terms, axis=None) < -EPSILON:
+        totals += self.weights[NETWORK.name] * links
+        if terms.min() < -EPSILON:
             totals[(terms < -EPSILON).any(axis=0)] -= INFEASIBLE_PENALTY
         return ArrayTotals(row)
 
 
-def _demands_nothing_had(fleet: Capacities, task: Task) -> bool:
-    """Whether the task demands some of what no host has any of."""
-    return any(
-        (quantity := task.demand[name]) is not None and quantity.value > 0 and NOTHING in fleet.raw[name]
-        for name in list_limiting_resources(fleet, task)
-        if name not in fleet.counted
-    )
+def build_array_scan(fleet: Capacities, weights: Weights, names: Iterable[str]) -> ArrayScan:
+    """The scan of ``fleet``, nothing computed yet. ``names``: of the tasks, in sequence order."""
+    return ArrayScan(shares=build_array_shares(fleet, weights, names), weights=weights)
 
 
-def build_array_scan(fleet: Capacities, weights: Weights) -> ArrayScan:
-    """The scan of ``fleet``, nothing computed yet."""
-    return ArrayScan(shares=build_array_shares(fleet), weights=weights)
-
-
-def _fill_link_terms(terms: Array, mirror: FreeArrays, shares: ArrayShares, task: Task) -> None:
+def fill_link_terms(terms: Array, mirror: FreeArrays, shares: ArrayShares, task: Task) -> None:
     """UT_net at every edge: the worst of the task's links; 1 without a robot."""
+    if len(task.robots) == 1 and task.robots[0] in mirror.free_links:
+        robot = task.robots[0]
+        np.subtract(mirror.free_links[robot], shares.of_link(task, robot), out=terms)
+        return
     terms.fill(1.0 if not task.robots else inf)
     for robot in task.robots:
         row = mirror.free_links.get(robot)

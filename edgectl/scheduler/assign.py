@@ -4,6 +4,7 @@
 Pure; the same inputs give the same bytes.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot
-from edgectl.model.task import Tasks
+from edgectl.model.task import Task, Tasks
 from edgectl.scheduler.best_plan import find_best_plan
 from edgectl.scheduler.candidates import AssignmentContext
 from edgectl.scheduler.capacities import Capacities, build_capacities
@@ -22,10 +23,17 @@ from edgectl.scheduler.garbage import pause_collection
 from edgectl.scheduler.initial_state import InitialState, build_initial_state
 from edgectl.scheduler.integer_program import Solver
 from edgectl.scheduler.move_cost import collect_handoff_history
-from edgectl.scheduler.operator_pins import explain_pins, pin_tasks, resolve_pins
+from edgectl.scheduler.operator_pins import (
+    NOTHING_YIELDED,
+    explain_pins,
+    find_yielded_hosts,
+    pin_tasks,
+    resolve_pins,
+)
 from edgectl.scheduler.placement_rules import NO_RULES, build_placement_rules
 from edgectl.scheduler.policies import POLICIES
 from edgectl.scheduler.preference import sign_weights
+from edgectl.scheduler.ratings import collect_ratings
 from edgectl.scheduler.reservation import reserve_running_tasks
 from edgectl.scheduler.scan import build_demand_shares
 from edgectl.scheduler.sequence import order_tasks
@@ -60,6 +68,7 @@ def assign(
     the same, and the numbers and warnings are left out (ADR 134).
 
     Raises:
+        UsageError: the policy weighs ratings of plugins that the snapshot does not hold.
         ValueError: the tasks' needs form a cycle, or the weights are not usable (validation of the files
             finds both).
     """
@@ -91,9 +100,10 @@ def _assign(
         else {}
     )
     unpinned = order_tasks(tasks.tasks.values(), used.sequence)
-    order = pin_tasks(unpinned, pins)
+    yielded = find_yielded_hosts(unpinned, pins) if pins and rules.settles else NOTHING_YIELDED
+    order = pin_tasks(unpinned, pins, yielded)
     context = AssignmentContext(
-        arrays=_load_array_scan(fleet, tasks, used),
+        arrays=_load_array_scan(fleet, order, used),
         fleet=fleet,
         policy=sign_weights(used) if rules.settles else used,
         rules=rules.candidates,
@@ -102,6 +112,7 @@ def _assign(
         first=_select_first_placements(manager, state),
         handoffs=collect_handoff_history(manager),
         placement_rules=build_placement_rules(order, fleet, state) if rules.settles else NO_RULES,
+        ratings=collect_ratings(used, snapshot, fleet),
         turns={} if rules.settles else {task.name: turn for turn, task in enumerate(order)},
     )
     how = PlacementPass(
@@ -126,7 +137,7 @@ def _assign(
     used_places = {place for place, _ in outcome.placed.values()}
     return Assignment(
         policy=used,
-        decisions=explain_pins(outcome.decisions, pins),
+        decisions=explain_pins(outcome.decisions, pins, yielded),
         expected=expected.expected(used_places.union(*(each.places for each in standbys))) if explain else {},
         standbys=build_standby_steps(made, standbys, expected),
         settled=settled,
@@ -138,15 +149,15 @@ def _assign(
     )
 
 
-def _load_array_scan(fleet: Capacities, tasks: Tasks, policy: Policy) -> "ArrayScan | None":
+def _load_array_scan(fleet: Capacities, order: Sequence[Task], policy: Policy) -> "ArrayScan | None":
     """The scan in NumPy where that pays, and where NumPy is installed (extra ``scale``)."""
-    if fleet.edges * len(tasks.tasks) < MIN_ARRAY_PAIRS:
+    if fleet.edges * len(order) < MIN_ARRAY_PAIRS:
         return None
     try:
         from edgectl.scheduler.array_scan import build_array_scan
     except ImportError:
         return None
-    return build_array_scan(fleet, policy.weights)
+    return build_array_scan(fleet, policy.weights, (task.name for task in order))
 
 
 def _select_first_placements(manager: ManagerState, state: InitialState) -> dict[str, str]:

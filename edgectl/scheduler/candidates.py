@@ -9,7 +9,7 @@ from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Rejection, RejectionRule, UtilityTerms
 from edgectl.model.policy import Policy, Preference
 from edgectl.model.predicted_latency import PredictedLatency
-from edgectl.model.resource import AFFINITY, LATENCY, RESOURCES, Resource
+from edgectl.model.resource import AFFINITY, LATENCY, RATING, RESOURCES, Resource
 from edgectl.model.task import OnboardRule, Task
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.feasibility import (
@@ -29,6 +29,7 @@ from edgectl.scheduler.latency import (
 from edgectl.scheduler.ledger import Ledger, compute_demand_usage
 from edgectl.scheduler.move_cost import HandoffHistory
 from edgectl.scheduler.placement_rules import NO_RULES, PlacementRules
+from edgectl.scheduler.ratings import Ratings, get_rating
 from edgectl.scheduler.scan import (
     EXCLUDED_TOTAL,
     INFEASIBLE_PENALTY,
@@ -110,7 +111,8 @@ class AssignmentContext:
     """Whatever stays the same over all passes of one assignment.
 
     ``placement_rules``: between tasks. ``arrays``: weigh large fleets with NumPy (ADR 0076).
-    ``turns``: the position of each task in the sequence, for policies that place in turn.
+    ``turns``: the position of each task in the sequence, for policies that place in turn. ``ratings``:
+    UT_rating, where it is weighed.
     ``edge_rejections`` caches the edges closed to a task, by its rules.
     """
 
@@ -124,6 +126,7 @@ class AssignmentContext:
     placement_rules: PlacementRules = NO_RULES
     arrays: "ArrayScan | None" = None
     turns: Mapping[str, int] = field(default_factory=dict)
+    ratings: Ratings = field(default_factory=dict)
     edge_rejections: dict[object, dict[int, Rejection]] = field(default_factory=dict)
 
 
@@ -273,6 +276,7 @@ def _compute_reference_terms(candidates: CandidateSet, place: int) -> ReferenceT
     values[AFFINITY] = candidates.utilities[compute_affinity(candidates.located, place)]
     predicted = latency_at(candidates, place)
     values[LATENCY] = rate_predicted_latency(candidates.task, predicted)
+    values[RATING] = get_rating(candidates.context.ratings, candidates.task.name, place)
     rejections += reject_missed_deadline(candidates.task, predicted)
     terms = UtilityTerms.from_complete(values)
     return terms, total_utility(candidates.context.policy.weights, terms), rejections
@@ -300,7 +304,7 @@ def _list_candidates(
     """The places that a ranking of ``task`` lists, and the places that may not take it."""
     fleet = context.fleet
     listed: Sequence[int] = (*range(fleet.edges), *robots) if robots else range(fleet.edges)
-    denied: Mapping[int, Rejection] = _get_edge_rejections(context, task)
+    denied: Mapping[int, Rejection] = get_edge_rejections(context, task)
     if robots:
         denied = {
             **denied,
@@ -316,7 +320,7 @@ def _list_candidates(
     return listed, denied
 
 
-def _get_edge_rejections(context: AssignmentContext, task: Task) -> dict[int, Rejection]:
+def get_edge_rejections(context: AssignmentContext, task: Task) -> dict[int, Rejection]:
     """Edges that may not take ``task``: by its rules, or closed to everybody."""
     rules = task.hosts
     only = task.onboard is OnboardRule.ONLY or not context.rules.edges
@@ -371,6 +375,9 @@ def _compute_place_totals(candidates: CandidateSet) -> Totals:
         if place < fleet.edges and place not in candidates.denied:
             row[place] += weight * (candidates.utilities[compute_affinity(candidates.located, place)] - far)
     _add_latency(candidates, row)
+    if weights[RATING]:
+        for place in range(fleet.edges):
+            row[place] += weights[RATING] * get_rating(context.ratings, task.name, place)
     if candidates.denied:
         row.exclude(candidates.denied)
     for place in candidates.robots:

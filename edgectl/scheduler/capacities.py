@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Capacities (Delta) of the fleet: hosts as numbered places, and the hosts that are closed to new work."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import field
 from math import inf
+from operator import itemgetter
+from typing import TYPE_CHECKING
 
 from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Rejection, RejectionRule
-from edgectl.model.demand import Demand
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.resource import CPU, GPU, HOST_RESOURCES, NOTHING, Resource
@@ -15,6 +16,9 @@ from edgectl.model.snapshot import HostSample, Snapshot
 from edgectl.names import natural_key
 from edgectl.rules.slack import compute_slack
 from edgectl.scheduler.task_usage import TaskUsage
+
+if TYPE_CHECKING:
+    from edgectl.scheduler.demand import ClassDemands
 
 # Readings older than this are not trusted with new work.
 MAX_SAMPLE_AGE_S = 60.0
@@ -32,7 +36,7 @@ class Capacities:
     throughput are (ADR 0077). ``order`` is the position of each place in the natural order of all names.
     ``closed`` says why a place takes no new work; in ``hard`` that also drives away what runs
     there (drained, or left out by a what-if question). ``classes`` names the class of each place (ADR 0025),
-    ``demands`` holds rho by task and class, of tasks whose history decides it, "" for a class without enough;
+    ``demands`` holds rho by class, of the tasks whose history decides it;
     ``history`` is what was measured. ``floors``: by running task, the measured usage below which its demand
     does not count at any place (ADR 0060). ``noise``: of the readings by host and resource, as shares of the
     capacity, where it widens the slack. ``counted``: the resources of hosts that limit some place; of the
@@ -51,7 +55,7 @@ class Capacities:
     closed: Mapping[int, Rejection]
     hard: frozenset[int]
     classes: tuple[str, ...] = ()
-    demands: Mapping[str, Mapping[str, Demand]] = field(default_factory=dict)
+    demands: Mapping[str, "ClassDemands"] = field(default_factory=dict)
     history: Mapping[tuple[str, str], MeasuredDemand] = field(default_factory=dict)
     floors: Mapping[str, TaskUsage] = field(default_factory=dict)
     noise: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
@@ -93,13 +97,7 @@ def build_capacities(
     }
     ranked = sorted(range(len(places)), key=lambda place: natural_key(places[place].name))
     order = dict(zip(ranked, range(len(ranked)), strict=True))
-    links = {
-        robot.name: [
-            _resolve_link(inventory, edge.name, sample, robot.name)
-            for edge, sample in zip(edges, samples, strict=False)  # the samples go on to the robots
-        ]
-        for robot in robots
-    }
+    links = {robot.name: _list_links(inventory, edges, samples, robot.name) for robot in robots}
     return Capacities(
         places=places,
         index={host.name: place for place, host in enumerate(places)},
@@ -114,8 +112,8 @@ def build_capacities(
             )
             for name, row in raw.items()
         },
-        links={robot: tuple(now for now, _ in row) for robot, row in links.items()},
-        nominal_links={robot: tuple(nominal for _, nominal in row) for robot, row in links.items()},
+        links={robot: tuple(map(itemgetter(0), row)) for robot, row in links.items()},
+        nominal_links={robot: tuple(map(itemgetter(1), row)) for robot, row in links.items()},
         closed=closed,
         hard=frozenset(
             place
@@ -152,22 +150,25 @@ def _limit_capacity(capacity: float, host: Host, sample: HostSample | None, reso
     return usable * compute_cool_share(host, sample)
 
 
-def _resolve_link(
-    inventory: Inventory, edge: str, sample: HostSample | None, robot: str
-) -> tuple[float | None, float | None]:
-    """Delta_thp of one link, and what it carries at best: a declared link wins unless it carries less now,
-    but only an edge that reports the link has it.
+def _list_links(
+    inventory: Inventory, edges: Sequence[Host], samples: Sequence[HostSample | None], robot: str
+) -> list[tuple[float | None, float | None]]:
+    """Delta_thp of the link of each edge, and what it carries at best: a declared link wins unless it carries
+    less now, but only an edge that reports the link has it.
     """
-    link = sample.links.get(robot) if sample is not None else None
-    if link is None:
-        return None, None
-    now, links = link.capacity_bytes_per_s, inventory.links
-    declared = links.get((edge, robot)) if links else None
-    if not now:
-        return now, 0.0
-    if declared is None:
-        return now, link.nominal_bytes_per_s
-    return declared if link.nominal is None else min(declared, now), declared
+    stated = inventory.links
+    found: list[tuple[float | None, float | None]] = []
+    for edge, sample in zip(edges, samples, strict=False):  # the samples go on to the robots
+        link = sample.links.get(robot) if sample is not None else None
+        now = None if link is None else link.capacity_bytes_per_s
+        declared = stated.get((edge.name, robot)) if stated else None
+        if link is None or not now:
+            found.append((now, None if now is None else 0.0))
+        elif declared is None:
+            found.append((now, link.nominal_bytes_per_s))
+        else:
+            found.append((declared if link.nominal is None else min(declared, now), declared))
+    return found
 
 
 def _find_closing_rule(

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Demand (rho) of a task on one host (ADR 0025): declared, or measured on that class of hosts."""
 
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 from edgectl.model.assignment import DemandSource, ResourceDemand
@@ -17,8 +18,69 @@ from edgectl.rules.measured_demand import (
 )
 from edgectl.scheduler.capacities import Capacities
 
-# In place of a class without enough history.
+# In place of the class of a host without capacity.
 OTHER_CLASS = ""
+
+
+class ClassDemands:
+    """Demand (rho) of one task whose history decides it, by class of hosts, each resolved when it is first
+    read: a large plan asks only for numbers (ADR 147).
+
+    ``stated``: of the file; ``known``: what was measured, by the classes with enough history.
+    """
+
+    __slots__ = ("_follows", "_made", "known", "stated")
+
+    def __init__(self, stated: Demand, known: Mapping[str, MeasuredDemand]) -> None:
+        self.stated, self.known = stated, known
+        self._follows = all(quantity is None for quantity in stated.values())
+        self._made: dict[str | None, Demand] = {}
+
+    def at(self, kind: str) -> Demand:
+        """The demand on hosts of class ``kind``."""
+        found = self._made.get(kind)
+        if found is None:
+            measured = self.known.get(kind)
+            found = self._made[kind] = (
+                self.elsewhere if measured is None else resolve_demand(self.stated, measured)
+            )
+        return found
+
+    @property
+    def elsewhere(self) -> Demand:
+        """The demand on hosts of a class without enough history."""
+        found = self._made.get(None)
+        if found is None:
+            found = self._made[None] = estimate_demand(self.stated, self.known.values())
+        return found
+
+    def list_all(self) -> list[Demand]:
+        """The demands on all classes, those without history too."""
+        return [*map(self.at, self.known), self.elsewhere]
+
+    def list_amounts(self, kinds: Iterable[str], resource: str) -> list[tuple[float, bool]]:
+        """By class of ``kinds``, the amount of ``resource`` and whether it is a share."""
+        found = []
+        for kind in kinds:
+            value = self.get_measured(kind).get(resource)
+            if value is None:
+                quantity = self.at(kind)[resource] or ZERO
+                found.append((quantity.value, quantity.relative))
+            else:
+                found.append((value, False))
+        return found
+
+    def get_measured(self, kind: str) -> Mapping[str, float]:
+        """The amounts by resource that are as measured on hosts of class ``kind``, where all of them are."""
+        measured = self.known.get(kind) if self._follows else None
+        return {} if measured is None else measured.used
+
+    def find_least(self, resource: str, capacity: float) -> float:
+        """The least that the demand means on a host with ``capacity`` of ``resource``, whatever its class."""
+        values = [found.used[resource] for found in self.known.values() if resource in found.used]
+        if self._follows and len(values) == len(self.known):
+            return min(values)  # elsewhere the greatest counts
+        return min((demand[resource] or ZERO).of(capacity) for demand in self.list_all())
 
 
 def add_measured_demands(fleet: Capacities, tasks: Tasks, manager: ManagerState) -> Capacities:
@@ -34,9 +96,7 @@ def add_measured_demands(fleet: Capacities, tasks: Tasks, manager: ManagerState)
     for (task, kind), found in history.items():
         if has_enough_samples(found):
             known.setdefault(task, {})[kind] = found
-    demands = {
-        task: _resolve_demand_by_class(tasks.tasks[task].demand, found) for task, found in known.items()
-    }
+    demands = {task: ClassDemands(tasks.tasks[task].demand, found) for task, found in known.items()}
     classes = tuple(
         classify_host(host, cores, total) if cores > 0 and total > 0 else OTHER_CLASS
         for host, cores, total in zip(fleet.places, fleet.raw[CPU.name], fleet.raw[MEMORY.name], strict=True)
@@ -44,18 +104,12 @@ def add_measured_demands(fleet: Capacities, tasks: Tasks, manager: ManagerState)
     return replace(fleet, classes=classes, demands=demands, history=history)
 
 
-def _resolve_demand_by_class(stated: Demand, known: dict[str, MeasuredDemand]) -> dict[str, Demand]:
-    return {kind: resolve_demand(stated, found) for kind, found in known.items()} | {
-        OTHER_CLASS: estimate_demand(stated, known.values())
-    }
-
-
 def demand_at(fleet: Capacities, task: Task, place: int) -> Demand:
     """The demand of ``task`` at ``place``."""
     own = fleet.demands.get(task.name)
     if own is None:
         return task.demand
-    return own.get(fleet.classes[place]) or own[OTHER_CLASS]
+    return own.at(fleet.classes[place])
 
 
 def list_resource_demands(fleet: Capacities, task: Task, place: int) -> tuple[ResourceDemand, ...]:
@@ -126,6 +180,6 @@ def _find_demand_source(
     fleet: Capacities, task: Task, place: int, stated: Quantity | None, counted: Quantity | None
 ) -> DemandSource:
     if counted is not stated and counted is not None:
-        here = fleet.classes[place] in fleet.demands[task.name]
+        here = fleet.classes[place] in fleet.demands[task.name].known
         return DemandSource.MEASURED if here else DemandSource.MEASURED_ELSEWHERE
     return DemandSource.DECLARED if stated is not None and stated.value > 0 else DemandSource.NONE

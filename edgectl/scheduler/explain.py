@@ -17,7 +17,7 @@ from edgectl.model.explanation import ChangeKind, Contribution, Explanation, Fli
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy, Weights
-from edgectl.model.resource import LATENCY, RESOURCES, RESOURCES_BY_NAME, TERMS, Resource, ResourceMap
+from edgectl.model.resource import LATENCY, RATING, RESOURCES, RESOURCES_BY_NAME, TERMS, Resource, ResourceMap
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task
 from edgectl.scheduler.capacities import Capacities, build_capacities
@@ -117,6 +117,7 @@ def explain_decision(
         pin=task.hosts.pin,
         deadline_ms=None if task.deadline is None else 1000.0 * task.deadline,
         bends=is_latency_weighed(policy, task),
+        rule=None if POLICIES[policy.name].weighs_moves else policy.name,
     )
     here = _find_ranked_host(ranked, decision.host)
     there = _find_ranked_host(ranked, decision.challenger)
@@ -228,7 +229,7 @@ def _compute_needed_gains(
 
 def _build_contributions(weights: Weights, here: UtilityTerms, there: UtilityTerms) -> Iterator[Contribution]:
     for term in TERMS:
-        if term == LATENCY and not weights[term]:
+        if term in (LATENCY, RATING) and not weights[term]:
             continue
         yield Contribution(
             term=term,
@@ -302,7 +303,7 @@ def _find_flips(case: _Case) -> Iterator[Flip]:
             yield from _find_load_flips(case, entry, resource)
     predicted = any(entry.predicted_latency is not None for entry in case.ranked)
     for term in TERMS:
-        if term != LATENCY or predicted:
+        if (term != LATENCY or predicted) and (term != RATING or case.weights[RATING]):
             yield from _find_weight_flips(case, term)
 
 

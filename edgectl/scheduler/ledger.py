@@ -142,10 +142,7 @@ def compute_free_share(capacity: float | None, used: float) -> float:
 def build_measured_ledger(fleet: Capacities) -> Ledger:
     """Gamma as the profilers saw it."""
     used = {resource.name: _list_measured_usage(fleet, resource.name) for resource in HOST_RESOURCES}
-    links = {
-        robot: [_get_measured_link_rate(fleet, edge, robot) for edge in range(fleet.edges)]
-        for robot in fleet.links
-    }
+    links = {robot: _list_measured_link_rates(fleet, robot) for robot in fleet.links}
     return Ledger(
         fleet=fleet,
         used=used,
@@ -177,10 +174,10 @@ def _list_measured_usage(fleet: Capacities, name: str) -> list[float]:
     ]
 
 
-def _get_measured_link_rate(fleet: Capacities, edge: int, robot: str) -> float:
-    sample = fleet.samples[edge]
-    link = sample.links.get(robot) if sample else None
-    return link.used_bytes_per_s if link else 0.0
+def _list_measured_link_rates(fleet: Capacities, robot: str) -> list[float]:
+    samples = fleet.samples[: fleet.edges]
+    links = [None if sample is None else sample.links.get(robot) for sample in samples]
+    return [0.0 if link is None else link.used_bytes_per_s for link in links]
 
 
 def compute_demand_usage(fleet: Capacities, task: Task, place: int) -> TaskUsage:

@@ -7,18 +7,25 @@ the task is placed as if it had none.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
+from typing import TypeAlias
 
-from edgectl.model.assignment import Decision, OperatorPin, Reason, RejectionRule, Verdict
+from edgectl.model.assignment import Decision, OperatorPin, Reason, Rejection, RejectionRule, Verdict
 from edgectl.model.manager_state import ManagerState, Pin
 from edgectl.model.task import NothingFits, Task, Tasks, join_units
 from edgectl.scheduler.candidates import NEW_WORK_ONLY
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.feasibility import find_missing_engine, find_own_robot, find_rule_against
 from edgectl.scheduler.initial_state import InitialState
-from edgectl.scheduler.ledger import compute_demand_usage
+from edgectl.scheduler.latency import may_keep_deadline
+from edgectl.scheduler.ledger import build_measured_ledger, compute_demand_usage
+from edgectl.scheduler.placement_rules import join_apart
 from edgectl.scheduler.task_usage import TaskUsage, add_usage
 from edgectl.scheduler.utility import EPSILON
 
+# By task, the hosts that it leaves to pinned tasks, each with that task.
+Yielded: TypeAlias = Mapping[str, Mapping[str, str]]
+NOTHING_YIELDED: Yielded = MappingProxyType({})
 # Reasons for the place of a task that has only one candidate, which the pin explains better.
 _EXPLAINED_BY_PIN = (
     Reason.BEST,
@@ -132,7 +139,10 @@ def find_pin_obstacle(
         return rule
     if not robot and any(fleet.links[name][place] is None for name in task.robots if name in fleet.links):
         return RejectionRule.NO_LINK
-    return None if fits_unit((task,), host, fleet) else RejectionRule.INSUFFICIENT
+    if not fits_unit((task,), host, fleet):
+        return RejectionRule.INSUFFICIENT
+    kept = not task.hard_deadline or may_keep_deadline(build_measured_ledger(fleet), task, place)
+    return None if kept else RejectionRule.DEADLINE_MISSED
 
 
 def fits_unit(mates: Iterable[Task], host: str, fleet: Capacities, *, best_effort: bool = False) -> bool:
@@ -151,22 +161,80 @@ def fits_unit(mates: Iterable[Task], host: str, fleet: Capacities, *, best_effor
     )
 
 
-def pin_tasks(order: Sequence[Task], pins: Mapping[str, OperatorPin]) -> list[Task]:
-    """``order`` with every pin that counts as one of the task file; tasks that go together share it."""
+def pin_tasks(
+    order: Sequence[Task], pins: Mapping[str, OperatorPin], yielded: Yielded = NOTHING_YIELDED
+) -> list[Task]:
+    """``order`` with every pin that counts as one of the task file, tasks that go together sharing it, and
+    with every host that is ``yielded`` as one that the file excludes.
+    """
+    hosts = _list_pinned_hosts(order, pins)
+    return [
+        replace(task, hosts=replace(task.hosts, pin=hosts[task.name]))
+        if task.name in hosts
+        else replace(task, hosts=replace(task.hosts, never=(*task.hosts.never, *yielded[task.name])))
+        if task.name in yielded
+        else task
+        for task in order
+    ]
+
+
+def find_yielded_hosts(order: Sequence[Task], pins: Mapping[str, OperatorPin]) -> Yielded:
+    """The hosts that tasks without a pin leave to pinned ones that they must be apart from, with all that go
+    together with them. Otherwise a pin would wait for as long as such a task runs.
+    """
+    hosts = _list_pinned_hosts(order, pins)
+    apart = join_apart(order) if hosts else {}
+    units = join_units({task.name: task for task in order}) if apart else {}
+    tasks = {task.name: task for task in order}
+    found: dict[str, dict[str, str]] = {}
+    for name, host in hosts.items():
+        leaving = {mate for other in apart.get(name, ()) for mate in units.get(other, (other,))}
+        for mate in sorted(leaving & tasks.keys() - hosts.keys()):
+            if tasks[mate].hosts.pin is None and host not in tasks[mate].hosts.never:
+                found.setdefault(mate, {}).setdefault(host, name)
+    return found
+
+
+def _list_pinned_hosts(order: Sequence[Task], pins: Mapping[str, OperatorPin]) -> dict[str, str]:
     hosts = {name: pin.host for name, pin in pins.items() if pin.set_aside is None}
     units = join_units({task.name: task for task in order}) if hosts else {}
     for name, host in list(hosts.items()):
         for mate in units.get(name, ()):
             hosts.setdefault(mate, host)
-    return [
-        replace(task, hosts=replace(task.hosts, pin=hosts[task.name])) if task.name in hosts else task
-        for task in order
-    ]
+    return hosts
 
 
-def explain_pins(decisions: Sequence[Decision], pins: Mapping[str, OperatorPin]) -> tuple[Decision, ...]:
-    """``decisions``, each with the pin of its task, which is the reason of a place that it decided."""
-    return tuple(_explain_pin(each, pins.get(each.task)) for each in decisions) if pins else tuple(decisions)
+def explain_pins(
+    decisions: Sequence[Decision], pins: Mapping[str, OperatorPin], yielded: Yielded = NOTHING_YIELDED
+) -> tuple[Decision, ...]:
+    """``decisions``, each with the pin of its task, which is the reason of a place that it decided, and with
+    the pinned task that a host is left to.
+    """
+    if not pins:
+        return tuple(decisions)
+    return tuple(
+        _explain_pin(_explain_yielded(each, yielded.get(each.task, {})), pins.get(each.task))
+        for each in decisions
+    )
+
+
+def _explain_yielded(decision: Decision, hosts: Mapping[str, str]) -> Decision:
+    """``decision`` with the pinned tasks instead of ``never``, which its file does not say."""
+    if not hosts:
+        return decision
+    ranking = tuple(
+        replace(entry, rejections=(Rejection(rule=RejectionRule.APART, task=hosts[entry.host]),))
+        if entry.host in hosts and entry.rejections[:1] == (Rejection(rule=RejectionRule.NEVER),)
+        else entry
+        for entry in decision.ranking
+    )
+    left = hosts.get(decision.previous_host or "") if decision.reason is Reason.FORCED_RULE else None
+    return replace(
+        decision,
+        ranking=ranking,
+        reason=decision.reason if left is None else Reason.MADE_ROOM,
+        subject=decision.subject if left is None else left,
+    )
 
 
 def _explain_pin(decision: Decision, pin: OperatorPin | None) -> Decision:

@@ -7,7 +7,7 @@ A pass that repeats a plan asks this for every task, and nearly always the answe
 from dataclasses import dataclass, field
 
 from edgectl.model.policy import Preference
-from edgectl.model.resource import AFFINITY, LATENCY, NETWORK
+from edgectl.model.resource import AFFINITY, LATENCY, NETWORK, RATING
 from edgectl.scheduler.candidates import CandidateSet, terms_at
 from edgectl.scheduler.latency import is_latency_weighed
 from edgectl.scheduler.ledger import NO_FREE_SHARE
@@ -42,6 +42,7 @@ def stays_in_place(candidates: CandidateSet, peaks: LoadPeaks) -> bool:
         or here in candidates.denied
         or candidates.task.name in context.handoffs.downtimes
         or context.policy.weights[LATENCY] != 0.0
+        or context.policy.weights[RATING] != 0.0
         or is_latency_weighed(context.policy, candidates.task)
     ):
         return False
@@ -56,10 +57,10 @@ def _compute_present_total(candidates: CandidateSet, here: int) -> float | None:
     context, ledger = candidates.context, candidates.ledger
     weights = context.policy.weights
     link = 1.0
-    if here < context.fleet.edges:
-        rows = (ledger.free_links.get(robot) for robot in candidates.task.robots)
-        link = min((NO_FREE_SHARE if row is None else row[here] for row in rows), default=1.0)
-    if link < 0.0 or any(row[here] < 0.0 for row in ledger.free.values()):
+    for robot in candidates.task.robots if here < context.fleet.edges else ():
+        row = ledger.free_links.get(robot)
+        link = min(link, NO_FREE_SHARE if row is None else row[here])
+    if link < 0.0 or min([row[here] for row in ledger.free.values()]) < 0.0:
         return None
     utility = candidates.utilities[compute_affinity(candidates.located, here)]
     return ledger.weigh_free(weights)[here] + weights[NETWORK.name] * link + weights[AFFINITY] * utility
@@ -73,18 +74,18 @@ def _bound_best_total(candidates: CandidateSet, peaks: LoadPeaks, here: int) -> 
     if peaks.weighted is None:
         peaks.weighted = max(free[:edges], default=NO_FREE_SHARE)
     far = candidates.utilities.get(-len(candidates.located), 0.0)
-    links = min((_find_link_peak(candidates, peaks, robot) for robot in candidates.task.robots), default=1.0)
+    links = min([_find_link_peak(candidates, peaks, robot) for robot in candidates.task.robots], default=1.0)
     bounds = [peaks.weighted + weights[NETWORK.name] * links + weights[AFFINITY] * far]
     for place in {*candidates.located} - {here}:
         if place < edges and place not in candidates.denied:
             utility = candidates.utilities[compute_affinity(candidates.located, place)]
-            link = min(
-                (ledger.free_links[robot][place] for robot in candidates.task.robots if robot in peaks.links),
-                default=1.0,
-            )
+            link = 1.0
+            for robot in candidates.task.robots:
+                row = ledger.free_links.get(robot)
+                link = link if row is None else min(link, row[place])
             bounds.append(free[place] + weights[NETWORK.name] * link + weights[AFFINITY] * utility)
-    robots = (place for place in candidates.robots if place != here and place not in candidates.denied)
-    bounds.extend(terms_at(candidates, place)[1] or 0.0 for place in robots)
+    robots = [place for place in candidates.robots if place != here and place not in candidates.denied]
+    bounds += [terms_at(candidates, place)[1] or 0.0 for place in robots]
     return max(bounds)
 
 

@@ -65,7 +65,7 @@ def build_placement_rules(order: Sequence[Task], fleet: Capacities, state: Initi
     if not any(task.apart or task.together or task.spread or task.group for task in order):
         return NO_RULES
     limits: dict[str, list[OccupancyLimit]] = {}
-    for name, others in _join_apart(order).items():
+    for name, others in join_apart(order).items():
         limits.setdefault(name, []).append(
             OccupancyLimit(rule=RejectionRule.APART, others=others, most=0, domains=range(len(fleet.places)))
         )
@@ -84,7 +84,7 @@ def build_placement_rules(order: Sequence[Task], fleet: Capacities, state: Initi
     )
 
 
-def _join_apart(order: Sequence[Task]) -> dict[str, frozenset[str]]:
+def join_apart(order: Sequence[Task]) -> dict[str, frozenset[str]]:
     """The tasks from which each one is apart: it counts for both who names whom."""
     apart: dict[str, set[str]] = {}
     for task in order:

@@ -93,7 +93,8 @@ def _list_floors(
 
 def _list_least_demands(fleet: Capacities, task: Task) -> dict[str, float]:
     """The least that each demand of ``task`` can mean at any place."""
-    demands = list(fleet.demands.get(task.name, {"": task.demand}).values())
+    known = fleet.demands.get(task.name)
+    demands = [task.demand] if known is None else known.list_all()
     return {name: min(_get_least(demand[name] or ZERO) for demand in demands) for name in RESOURCES_BY_NAME}
 
 

@@ -20,6 +20,7 @@ from edgectl.scheduler.single_pass import (
     PlacementPass,
     collect_prior_moves,
     count_moves_left,
+    repeats_at_a_glance,
     run_pass,
     state_from_pass,
 )
@@ -154,7 +155,8 @@ def _settle(how: PlacementPass, start: InitialState, prior_moves: Mapping[str, C
     state, moves = start, prior_moves
     outcome = run_pass(recorded, state, moves)
     for _ in range(MAX_PASSES):
-        if repeats_itself(how, state, outcome):
+        large = how.context.arrays is not None  # on small fleets a look ahead costs what it saves
+        if repeats_itself(how, state, outcome) or (large and repeats_at_a_glance(how, state, outcome)):
             last = outcome if state is start else run_pass(recorded, state, moves)
             return SettledPlan(last, settled=True, prior_moves=moves)
         put = collect_prior_moves(outcome, moves, how.initial)

@@ -65,5 +65,7 @@ def _may_run_onboard(fleet: Capacities, task: Task) -> bool:
 
 def _compute_least_demand(fleet: Capacities, task: Task, resource: Resource, smallest: float) -> float:
     """The least that the demand can mean on any edge; a share: on one of the ``smallest`` capacity."""
-    demands = fleet.demands.get(task.name, {"": task.demand}).values()
-    return min((demand[resource.name] or ZERO).of(smallest) for demand in demands)
+    known = fleet.demands.get(task.name)
+    if known is not None:
+        return known.find_least(resource.name, smallest)
+    return (task.demand[resource.name] or ZERO).of(smallest)

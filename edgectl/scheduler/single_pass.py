@@ -3,8 +3,9 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
-from functools import partial
+from functools import lru_cache, partial
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Decision, Reason, Rejection, Verdict
@@ -17,7 +18,7 @@ from edgectl.scheduler.candidates import (
     usage_at,
     weigh_candidates,
 )
-from edgectl.scheduler.choice import Choice, MoveConstraints
+from edgectl.scheduler.choice import Choice, MoveConstraints, choose_by_utility
 from edgectl.scheduler.company import Company, follows_unit, list_reservations, weigh_in_company
 from edgectl.scheduler.decisions import (
     build_decision,
@@ -34,6 +35,9 @@ from edgectl.scheduler.placement_rules import NO_RULES
 from edgectl.scheduler.policies import SchedulingPolicy
 from edgectl.scheduler.sequence import is_need_met
 from edgectl.scheduler.task_usage import TaskUsage
+
+if TYPE_CHECKING:  # imported only for very large fleets
+    from edgectl.scheduler.array_start import Starter
 
 # Of a task that starts, and that no rule joins with others.
 _NO_CONSTRAINTS, _NONE_BARRED = MoveConstraints(), MappingProxyType[int, Rejection]({})
@@ -61,7 +65,7 @@ class _PassState:
     """State of a pass under way. ``history``: its changes of gamma, where rankings are asked for.
 
     ``open``: the tasks that it decides, where rules between tasks need them. ``reserved``: room kept for
-    tasks that will share the host of another.
+    tasks that will share the host of another. ``start``: of tasks that arrays decide (ADR 147).
     """
 
     ledger: Ledger
@@ -75,6 +79,7 @@ class _PassState:
     choices: dict[str, Choice] = field(default_factory=dict)
     decisions: list[Decision] = field(default_factory=list)
     moves_left: int | None = None
+    start: "Starter | None" = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,6 +115,10 @@ def run_pass(how: PlacementPass, state: InitialState, prior_moves: Mapping[str, 
     )
     if how.context.arrays is not None:
         how.context.arrays.mirror(progress.ledger)
+        if how.rules.settles and how.rules.choose is choose_by_utility:
+            from edgectl.scheduler.array_start import build_starter
+
+            progress.start = build_starter(how.context, progress.ledger, progress.history)
     for task in how.order:
         fixed = state.fixed.get(task.name)
         if fixed is None:
@@ -121,6 +130,21 @@ def run_pass(how: PlacementPass, state: InitialState, prior_moves: Mapping[str, 
         placed=progress.uses,
         ledger=progress.ledger,
         decisions=tuple(progress.decisions),
+    )
+
+
+def repeats_at_a_glance(how: PlacementPass, state: InitialState, outcome: PassResult) -> bool:
+    """Whether bounds alone show that a repetition leaves every task where ``outcome`` has it (ADR 147): then
+    none is made. False says nothing.
+    """
+    places = {name: choice.place for name, choice in outcome.choices.items() if choice.place is not None}
+    if len(places) < len(outcome.choices):
+        return False
+    progress = _PassState(ledger=outcome.ledger, history=None, located={**state.located, **places}, open={})
+    return all(
+        _stays_at_a_glance(how, state, progress, task, places[task.name])
+        for task in how.order
+        if task.name in places
     )
 
 
@@ -182,8 +206,8 @@ def _decide_task(
 ) -> None:
     """One task: its reservation leaves gamma, every place is weighed, and d is charged where it is put."""
     running = state.running.get(task.name)
-    if running is not None and _stays_at_a_glance(how, state, progress, task, running):
-        choice = Choice(verdict=Verdict.KEPT, reason=Reason.STILL_BEST, place=running.place)
+    if running is not None and _stays_at_a_glance(how, state, progress, task, running.place):
+        choice = _keep_at(running.place)
         progress.choices[task.name] = choice
         progress.uses[task.name] = running.place, running.use
         progress.placed[running.place] = progress.placed.get(running.place, 0) + 1
@@ -204,6 +228,8 @@ def _decide_task(
         progress.decisions.append(
             explain_replacement(unplaced_decision(task, told), how.initial.replaced.get(task.name))
         )
+    elif running is None and _start_plainly(how, state, prior_moves, progress, task):
+        return
     else:
         choice, candidates = _choose_place(how, state, prior_moves, progress, task)
         _record_plainly(how, prior_moves, progress, task, choice)
@@ -215,6 +241,40 @@ def _decide_task(
         progress.located.pop(task.name, None)  # it ran on a host that counts as gone
     if progress.moves_left is not None and choice.counted and task.name not in prior_moves:
         progress.moves_left -= 1
+
+
+@lru_cache(maxsize=10_000)  # of few places, for very many tasks
+def _keep_at(place: int) -> Choice:
+    return Choice(verdict=Verdict.KEPT, reason=Reason.STILL_BEST, place=place)
+
+
+@lru_cache(maxsize=10_000)
+def _start_at(place: int) -> Choice:
+    return Choice(verdict=Verdict.PLACED, reason=Reason.BEST, place=place)
+
+
+def _start_plainly(
+    how: PlacementPass,
+    state: InitialState,
+    prior_moves: Mapping[str, Choice],
+    progress: _PassState,
+    task: Task,
+) -> bool:
+    """Start ``task`` where the arrays alone decide; False, with nothing done, where they may not."""
+    name = task.name
+    if progress.start is None or name in how.initial.running or name in how.initial.replaced:
+        return False
+    if name in prior_moves or how.context.placement_rules.concern(name):
+        return False
+    start = progress.start(task, _find_predecessors(how, state, progress, task))
+    if start is None:
+        return False
+    choice = progress.choices[name] = _start_at(start.place)
+    if start.decision is not None:
+        progress.decisions.append(start.decision)
+    _record_plainly(how, prior_moves, progress, task, choice)
+    _charge_demand(progress, name, start.place, start.use)
+    return True
 
 
 def _record_plainly(
@@ -233,7 +293,7 @@ def _record_plainly(
 
 
 def _stays_at_a_glance(
-    how: PlacementPass, state: InitialState, progress: _PassState, task: Task, running: RunningTask
+    how: PlacementPass, state: InitialState, progress: _PassState, task: Task, here: int
 ) -> bool:
     """Whether a pass that explains nothing may leave ``task`` where it is, without a look at every host."""
     if (how.record and how.explain) or not how.rules.settles or not progress.peaks.valid:
@@ -244,7 +304,7 @@ def _stays_at_a_glance(
         how.context,
         progress.ledger,
         task,
-        incumbent=running.place,
+        incumbent=here,
         predecessors=_find_predecessors(how, state, progress, task),
         placed=progress.placed,
     )
@@ -389,4 +449,7 @@ def _find_missing_predecessor(
     task: Task, located: Mapping[str, int], completed: frozenset[str]
 ) -> str | None:
     """The first predecessor that is not as far as ``task`` needs it."""
-    return next((need.task for need in task.needs if not is_need_met(need, located, completed)), None)
+    for need in task.needs:
+        if not is_need_met(need, located, completed):
+            return need.task
+    return None

@@ -12,25 +12,28 @@ from pathlib import Path
 from edgectl.dataclass import dataclass
 from edgectl.formats.digest import hash_value
 from edgectl.formats.kinds import DocumentKind
+from edgectl.model.encoding import Instant
 from edgectl.model.event import Event, EventHook
 from edgectl.state.json_files import Warn, ignore_warning, load_or_set_aside, write_json
 from edgectl.state.paths import open_private_file
 from edgectl.state.uptime import Uptime
 
 CURSOR_FILE_NAME = "on_event.json"
-_UPDATE_LOCK, _COURIER_LOCK = "on_event.json.lock", "on_event.lock"
+_UPDATE_LOCK = "on_event.json.lock"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EventCursor:
     """Events up to ``id`` are delivered; ``digest`` is that of the event ``id``, by which a history that
-    began anew is recognised. ``ran``: the last start of the program; ``failures`` in a row.
+    began anew is recognised. ``ran``: the last start of the program; ``failures`` in a row. ``seen``: when an
+    edgectl last had the hook in its files (s since 1970), give or take an hour.
     """
 
     id: int = 0
     digest: str = ""
     ran: Uptime | None = None
     failures: int = 0
+    seen: Instant = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,8 +48,8 @@ _KIND = DocumentKind(name="file of delivered events", version=1, model=EventCurs
 
 
 def name_hook(hook: EventHook) -> str:
-    """The name of a hook in the file: the same as long as it starts the same program."""
-    return hash_value((hook.command, hook.notifier, hook.options))[:16]
+    """The name of a hook in the file: the same as long as it tells the same program of the same kinds."""
+    return hash_value((hook.command, hook.notifier, hook.options, frozenset(hook.kinds)))[:16]
 
 
 def digest_event(event: Event) -> str:
@@ -80,9 +83,9 @@ def replace_cursor(cursors: EventCursors, name: str, cursor: EventCursor) -> Eve
 
 
 @contextlib.contextmanager
-def hold_courier_lock(state: Path) -> Iterator[bool]:
-    """Whether this process is the only one that delivers events of the fleet, until the end."""
-    with _hold_lock(state / _COURIER_LOCK, wait=False) as held:
+def hold_hook_lock(state: Path, name: str) -> Iterator[bool]:
+    """Whether this process is the only one that delivers events to the hook ``name``, until the end."""
+    with _hold_lock(state / f"on_event-{name}.lock", wait=False) as held:
         yield held
 
 

@@ -88,6 +88,10 @@ def apply_saved_plan(fleet: Fleet, plan: Plan, options: ApplyOptions | None = No
             if name in journal.log.applied:
                 raise StalePlanError(["it was applied before"])
         snapshot = probe_fleet(held, options.probe)
+        if plan.policy.terms:
+            from edgectl.usecases.ratings import add_ratings
+
+            snapshot = add_ratings(fleet, plan.policy, snapshot)
         changes = (
             *list_file_conflicts(plan, fleet.inventory, fleet.tasks),
             *list_drift(plan, snapshot, snapshot.manager or ManagerState()),

@@ -2,9 +2,10 @@
 """Background program that hands recorded events to the ``on_event`` programs of a fleet.
 
 edgectl starts it with its job on standard input and does not wait for it, so no cycle waits for a hook, and
-an event is delivered even if edgectl has ended. At most one runs for each fleet.
+an event is delivered even if edgectl has ended. At most one at a time serves each hook of a fleet.
 """
 
+import contextlib
 import dataclasses
 import json
 import sys
@@ -21,7 +22,7 @@ from edgectl.state.event_cursor import (
     EventCursors,
     digest_event,
     has_begun_anew,
-    hold_courier_lock,
+    hold_hook_lock,
     load_cursors,
     name_hook,
     replace_cursor,
@@ -77,17 +78,20 @@ def deliver_events(job: CourierJob) -> None:
     """Run the hooks until all events are delivered, or only failing hooks are left: the next edgectl tries
     these again.
 
-    Whoever finds another courier at work leaves the events to it: it looks once more after it has given up
-    the lock.
+    Hooks that another courier serves are left to it: it looks once more after it has given up their locks.
     """
     while job.state.is_dir():
-        with hold_courier_lock(job.state) as alone:
-            if not alone:
-                return
+        with contextlib.ExitStack() as held:
+            own = [hook for hook in job.hooks if _take_hook(held, job.state, hook)]
+            job = dataclasses.replace(job, hooks=tuple(own))
             while (pause := _deliver_due(job)) is not None and job.state.is_dir():
                 time.sleep(min(pause, _SLICE_S))
         if not _has_work_left(job):
             return
+
+
+def _take_hook(held: contextlib.ExitStack, state: Path, hook: EventHook) -> bool:
+    return held.enter_context(hold_hook_lock(state, name_hook(hook)))
 
 
 def _has_work_left(job: CourierJob) -> bool:

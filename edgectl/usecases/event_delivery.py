@@ -6,7 +6,7 @@ import dataclasses
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from edgectl.dataclass import dataclass
 from edgectl.errors import StateError
@@ -16,7 +16,7 @@ from edgectl.state.event_cursor import (
     EventCursor,
     EventCursors,
     digest_event,
-    hold_courier_lock,
+    hold_hook_lock,
     load_cursors,
     name_hook,
     update_cursors,
@@ -26,6 +26,8 @@ from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.hook_run import build_hook_document, run_hook
 
 _COURIERS: list[int] = []
+# A hook that no edgectl had in its files for so long is forgotten; how often that it is there is noted.
+_FORGET_S, _NOTE_EVERY_S = 86400.0, 3600.0
 
 
 @contextlib.contextmanager
@@ -36,8 +38,9 @@ def deliver_recorded_events(fleet: Fleet) -> Iterator[None]:
     """
     hooks = {name_hook(hook) for hook in fleet.inventory.on_event}
     try:
-        if hooks - load_cursors(fleet.state, fleet.warn).hooks.keys():
-            _begin_at_newest_event(fleet, hooks)
+        known, now = load_cursors(fleet.state, fleet.warn).hooks, fleet.clock()
+        if any(name not in known or abs(now - known[name].seen) > _NOTE_EVERY_S for name in hooks):
+            _note_hooks(fleet, hooks, now)
     except (StateError, OSError) as error:
         fleet.warn(f"on_event: {error}")
     yield
@@ -45,20 +48,26 @@ def deliver_recorded_events(fleet: Fleet) -> Iterator[None]:
         cursors = load_cursors(fleet.state, fleet.warn)
         if cursors.untold:
             _tell_failures(fleet)
-        if _has_events_after(fleet, cursors):
+        own = [cursor for name, cursor in cursors.hooks.items() if name in hooks]
+        if own and _has_events_after(fleet, own):
             _start_courier(fleet)
     except (StateError, OSError) as error:
         fleet.warn(f"on_event: {error}")
 
 
-def _begin_at_newest_event(fleet: Fleet, hooks: set[str]) -> None:
-    """A new hook begins with the next event, and hooks that left the file are forgotten."""
+def _note_hooks(fleet: Fleet, hooks: set[str], now: float) -> None:
+    """A new hook begins with the next event, and hooks that no file has had for a day are forgotten.
+
+    Other managers may keep this state directory with other hooks, so one that is not ours is no hook that is
+    gone.
+    """
     newest = fleet.history.use(fleet.state, fleet.warn, lambda store: store.events(limit=1))
     start = EventCursor(id=newest[0].id, digest=digest_event(newest[0])) if newest else EventCursor()
 
     def change(cursors: EventCursors) -> EventCursors:
-        kept = {name: cursors.hooks.get(name, start) for name in sorted(hooks)}
-        return dataclasses.replace(cursors, hooks=kept)
+        others = {name: each for name, each in cursors.hooks.items() if now - each.seen <= _FORGET_S}
+        own = {name: dataclasses.replace(cursors.hooks.get(name, start), seen=now) for name in sorted(hooks)}
+        return dataclasses.replace(cursors, hooks=others | own)
 
     update_cursors(fleet.state, change)
 
@@ -69,20 +78,19 @@ def _tell_failures(fleet: Fleet) -> None:
         fleet.warn(f"{message}; try it with: edgectl events test")
 
 
-def _has_events_after(fleet: Fleet, cursors: EventCursors) -> bool:
+def _has_events_after(fleet: Fleet, cursors: Sequence[EventCursor]) -> bool:
     newest = fleet.history.use(fleet.state, fleet.warn, lambda store: store.events(limit=1))
     if not newest:
         return False
     place = (newest[0].id, digest_event(newest[0]))
-    return any((cursor.id, cursor.digest) != place for cursor in cursors.hooks.values())
+    return any((cursor.id, cursor.digest) != place for cursor in cursors)
 
 
 def _start_courier(fleet: Fleet) -> None:
-    """Start the courier in a session of its own, unless one is at work. It is not waited for."""
+    """Start the courier in a session of its own, unless each hook has one at work. It is not waited for."""
     _COURIERS[:] = [pid for pid in _COURIERS if _is_running(pid)]
-    with hold_courier_lock(fleet.state) as free:
-        if not free:
-            return
+    if not any(_is_unserved(fleet, hook) for hook in fleet.inventory.on_event):
+        return
     job = CourierJob(
         fleet=fleet.inventory.fleet,
         state=fleet.state.absolute(),
@@ -110,6 +118,11 @@ def _start_courier(fleet: Fleet) -> None:
     finally:
         os.close(data)
         os.close(nowhere)
+
+
+def _is_unserved(fleet: Fleet, hook: EventHook) -> bool:
+    with hold_hook_lock(fleet.state, name_hook(hook)) as free:
+        return free
 
 
 def _is_running(pid: int) -> bool:

@@ -70,6 +70,10 @@ def plan_rollback(fleet: Fleet, policy: Policy, number: int | None, options: App
     target = _get_rollback_target(fleet, number)
     wanted = _get_placements(target)
     snapshot = probe_fleet(fleet, options.probe)
+    if policy.terms:
+        from edgectl.usecases.ratings import add_ratings
+
+        snapshot = add_ratings(fleet, policy, snapshot)
     manager = snapshot.manager or ManagerState()
     pinned = dataclasses.replace(
         fleet.tasks,

@@ -11,7 +11,7 @@ from edgectl.model.event import Event, EventKind
 from edgectl.model.link_reading import LinkHistory, LinkObservation
 from edgectl.model.snapshot import Snapshot
 from edgectl.rules.link_turns import choose_links_to_probe, find_link_use, split_into_rounds
-from edgectl.rules.live_links import add_sample, apply_live_capacities, observe_link
+from edgectl.rules.live_links import add_sample, apply_live_capacities, forget_former_readings, observe_link
 from edgectl.state.link_readings import load_link_histories, save_link_histories
 from edgectl.usecases.fleet import Fleet
 
@@ -33,7 +33,7 @@ def measure_live_links(
     """
     stored = load_link_histories(fleet.state, fleet.warn)
     blind = {robot.name for robot in fleet.inventory.robots if not robot.probe}
-    known = {
+    observed = {
         pair: observe_link(
             stored.get(pair, _NOTHING),
             # A robot that is never contacted never counts as cut off.
@@ -43,6 +43,7 @@ def measure_live_links(
         )
         for pair, link in observations.items()
     }
+    known = forget_former_readings(observed, snapshot.taken_at)
     _record_cut_links(fleet, snapshot, stored, known)
     seen = apply_live_capacities(snapshot, known, observations, snapshot.taken_at)
     if probe_idle and fleet.inventory.probe_links:

@@ -2,11 +2,13 @@
 """Logs of a task from the host where it runs or ran last."""
 
 import contextlib
+import queue
 import re
-from collections.abc import Generator, Iterator
+import threading
+from collections.abc import Callable, Generator, Iterator, Mapping
 
 from edgectl.agent.link import protocol
-from edgectl.errors import UnansweredError, UsageError, describe_unseen_task
+from edgectl.errors import EdgectlError, UnansweredError, UsageError, describe_unseen_task
 from edgectl.gateway.task_lookup import find_task_host
 from edgectl.model.inventory import Host
 from edgectl.model.text import clean_text
@@ -22,6 +24,10 @@ _TIMEOUT_S = 15.0
 # The host sends a heartbeat every few seconds, also while the task prints nothing.
 _IDLE_TIMEOUT_S = 20.0
 _MAX_NOTE = 300
+# Each takes a thread and a channel of its connection.
+MAX_FOLLOWED = 32
+# A longer line is passed on in parts.
+_MAX_LINE = 65536
 
 
 def read_log(
@@ -66,6 +72,42 @@ def follow_log(
             _build_log_request(protocol.OP_FOLLOW, host, task, tail, since_s),
             idle_timeout=_IDLE_TIMEOUT_S,
         )
+
+
+def merge_streams(
+    streams: Mapping[str, Callable[[], Iterator[str]]],
+) -> Iterator[tuple[str, str | EdgectlError]]:
+    """The lines of several streams as they come, each whole and with the name of its stream; an error ends
+    one of them.
+
+    The threads are daemons: whoever stops reading waits for no host.
+    """
+    found: queue.SimpleQueue[tuple[str, str | EdgectlError | None]] = queue.SimpleQueue()
+
+    def read(name: str, open_stream: Callable[[], Iterator[str]]) -> None:
+        rest = ""
+        try:
+            for text in open_stream():
+                whole, newline, rest = (rest + text).rpartition("\n")
+                if newline or len(rest) > _MAX_LINE:
+                    found.put((name, whole + newline if newline else rest))
+                    rest = rest if newline else ""
+        except EdgectlError as error:
+            found.put((name, error))
+        finally:
+            if rest:
+                found.put((name, rest + "\n"))
+            found.put((name, None))
+
+    for name, open_stream in streams.items():
+        threading.Thread(target=read, args=(name, open_stream), daemon=True).start()
+    left = len(streams)
+    while left:
+        name, text = found.get()
+        if text is None:
+            left -= 1
+        else:
+            yield name, text
 
 
 def _build_log_request(

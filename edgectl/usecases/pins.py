@@ -57,6 +57,10 @@ _OBSTACLES = {
         "may not run on {host}: the file of a task that it is apart from pins that one there",
         "change apart or hosts.pin of {entry} in its task file",
     ),
+    RejectionRule.DEADLINE_MISSED: (
+        "can never keep its hard deadline on {host}, even if nothing else ran there",
+        "edgectl explain {task} -o wide",
+    ),
     RejectionRule.NO_LINK: ("can never run on {host}, which has no link to its robot", "edgectl doctor"),
 }
 

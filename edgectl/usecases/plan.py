@@ -15,7 +15,7 @@ from edgectl.model.assignment import Shortage
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy, PolicyName
-from edgectl.model.resource import LATENCY
+from edgectl.model.resource import LATENCY, RATING
 from edgectl.model.snapshot import Snapshot
 from edgectl.rules.lost_places import find_shared_machine
 from edgectl.scheduler.assign import assign
@@ -41,7 +41,8 @@ def make_plan(
     it: the result is the same on any day. ``recorded``: the plan of a probe becomes part of the history.
 
     Raises:
-        UsageError: two hosts of the inventory are one machine.
+        UsageError: two hosts of the inventory are one machine, or a term of the policy is in no plugin.
+        PluginError: a term failed.
     """
     if snapshot is None:
         probed = probe_fleet(fleet, options)
@@ -57,6 +58,10 @@ def make_plan(
             f"{shared[0]} and {shared[1]} are one machine: its load and its tasks would count twice",
             hint="remove one, or declare both as slices with capacity: {cpu: .., memory: ..}",
         )
+    if policy.terms:
+        from edgectl.usecases.ratings import add_ratings
+
+        snapshot = add_ratings(fleet, policy, snapshot)
     manager = snapshot.manager or ManagerState()
     solve = get_solver(policy)
     assignment = assign(fleet.inventory, fleet.tasks, snapshot, manager, policy, snapshot.taken_at, solve)
@@ -82,6 +87,9 @@ def check_search(policy: Policy) -> None:
         option = "--optimal" if policy.optimal else "--rebalance"
         hint = "omit it, or weigh no latency; hard deadlines are kept"
         raise UsageError(f"{option} cannot weigh latency, which is not linear in loads", hint=hint)
+    if (policy.optimal or policy.rebalance) and policy.weights[RATING]:
+        option = "--optimal" if policy.optimal else "--rebalance"
+        raise UsageError(f"{option} cannot weigh the ratings of plugins", hint="omit it, or weigh no rating")
     if policy.optimal and policy.rebalance:
         raise UsageError("--optimal finds the best plan without --rebalance", hint="pass one of the two")
     if policy.optimal and policy.name is not PolicyName.UTILITY:

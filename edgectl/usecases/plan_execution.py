@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import field
 
 from edgectl.dataclass import dataclass
-from edgectl.errors import StateError
+from edgectl.errors import StateError, UsageError
 from edgectl.executor.hold_release import release_hold
 from edgectl.executor.manager_state_update import compute_next_generations, update_manager_state
 from edgectl.executor.run import RunIdentity, RunOptions, run_plan
@@ -22,7 +22,7 @@ from edgectl.rules.ros_nodes import list_lost_nodes
 from edgectl.state.heartbeats import record_orphans
 from edgectl.state.journal import JOURNAL_FILE_NAME, Journal
 from edgectl.state.journal_reader import JournalSummary, read_journal_cached
-from edgectl.state.lock import FleetLock, get_user_name
+from edgectl.state.lock import FleetLock, describe_manager, get_user_name
 from edgectl.state.manager_state import load_manager_state, save_manager_state, select_saved_fields
 from edgectl.transport.connections import SessionPool
 from edgectl.transport.fleet_lease import WatchNote
@@ -109,9 +109,13 @@ def confirm_and_execute(
 ) -> ApplyResult:
     """Ask, journal, execute and save; ``verb`` goes into the journal; ``name`` is the id of a saved plan.
     Call it within ``lock_fleet``.
+
+    Raises:
+        UsageError: it would start tasks that run on under the former name of this fleet.
     """
     if options.dry_run:
         return ApplyResult(plan=plan)
+    check_former_fleet(fleet, plan)
     manager = plan.snapshot.manager or ManagerState()
     if plan.changes and not confirm(plan):
         return ApplyResult(plan=plan, declined=True)
@@ -157,6 +161,21 @@ def confirm_and_execute(
     if fleet.lease is not None and fleet.lease.watched_by is not None and verb != "watch":
         fleet.warn(_describe_watch(fleet, fleet.lease.watched_by))
     return ApplyResult(plan=plan, results=results, doubled=_look_for_doubled(fleet, plan, silent))
+
+
+def check_former_fleet(fleet: Fleet, plan: Plan) -> None:
+    """Refuse to start what runs on as a task of the fleet that this one was before it lost its name.
+
+    Raises:
+        UsageError: there is such a task.
+    """
+    if fleet.inventory.is_fleet_named:
+        return
+    from edgectl.rules.former_fleet import find_former_fleet
+
+    found = find_former_fleet(fleet.inventory, plan.steps, plan.snapshot, describe_manager())
+    if found is not None:
+        raise UsageError(found.message, hint=found.hint)
 
 
 def _list_used_generations(fleet: Fleet, cut_off: JournalSummary) -> dict[str, int]:

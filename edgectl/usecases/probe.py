@@ -18,7 +18,7 @@ from edgectl.state.manager_state import (
     save_link_capacities,
 )
 from edgectl.usecases.coordination import find_holder_id, load_pending_starts, refresh_state
-from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.fleet import Fleet, show_nothing
 from edgectl.usecases.fleet_lease import probe_within_lease
 from edgectl.usecases.heartbeat import load_state_with_heartbeats, track_heartbeats
 from edgectl.usecases.live_links import measure_live_links
@@ -53,17 +53,20 @@ def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
     )
     fenced = load_heartbeats(fleet.state, fleet.warn).fenced
     with track_heartbeats(fleet) as tracked:
-        snapshot = probe_within_lease(
-            tracked,
-            lambda: host_probe.probe_hosts(
-                fleet.inventory,
-                fleet.tasks,
-                tracked.transport,
-                options=options,
-                clock=fleet.clock,
-                lease=fleet.lease,
-            ),
-        )
+        show = fleet.show_probe if options.on_host is host_probe.ignore_host else show_nothing
+        with show(list(fleet.inventory.hosts)) as heard:
+            asked = options if heard is None else dataclasses.replace(options, on_host=heard)
+            snapshot = probe_within_lease(
+                tracked,
+                lambda: host_probe.probe_hosts(
+                    fleet.inventory,
+                    fleet.tasks,
+                    tracked.transport,
+                    options=asked,
+                    clock=fleet.clock,
+                    lease=fleet.lease,
+                ),
+            )
         snapshot = measure_live_links(tracked, snapshot, links, probe_idle=options.probe_idle_links)
     _record_orphans(fleet, snapshot)
     manager = load_state_with_heartbeats(fleet)

@@ -9,7 +9,7 @@ from edgectl.model.event import Event
 from edgectl.model.point import HostPoint, TaskPoint
 from edgectl.model.snapshot import Snapshot
 from edgectl.transport.connections import REFUSED_BACKOFF_S, BackoffTransport, SessionPool
-from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.fleet import Fleet, show_nothing
 from edgectl.usecases.probe import probe_fleet
 
 
@@ -20,7 +20,7 @@ def probe_repeatedly(
     open.
     """
     with SessionPool(fleet.transport, forget_s=REFUSED_BACKOFF_S) as pool:
-        held = dataclasses.replace(fleet, transport=BackoffTransport(pool))
+        held = dataclasses.replace(fleet, transport=BackoffTransport(pool), show_probe=show_nothing)
         yield probe_fleet(held, options)
         while not should_stop():
             yield probe_fleet(held, options)

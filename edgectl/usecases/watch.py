@@ -66,6 +66,10 @@ def never_reload() -> Fleet | None:
     return None
 
 
+def ignore_sample(_snapshot: Snapshot) -> None:
+    """Do nothing."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WatchOptions:
     """Options of a watch.
@@ -75,7 +79,8 @@ class WatchOptions:
     ``debug``: a bug ends the loop instead of one cycle.
     ``refresh``: a new fleet if its files changed, else None; raises EdgectlError if they are broken, and the
     old ones stay in use.
-    ``take_over``: replace another watch of the fleet.
+    ``take_over``: replace another watch of the fleet. ``on_sample``: called with what each plan is made from,
+    before it.
     """
 
     every: float = 10.0
@@ -86,6 +91,7 @@ class WatchOptions:
     probe: ProbeOptions = field(default_factory=lambda: ProbeOptions(timeout=_PROBE_TIMEOUT_S))
     policy: Callable[[Fleet], Policy] = policy_from_files
     refresh: Callable[[], Fleet | None] = never_reload
+    on_sample: Callable[[Snapshot], None] = ignore_sample
     execution: ApplyOptions = field(default_factory=ApplyOptions)
     control: Control = field(default_factory=Control)
 
@@ -230,6 +236,7 @@ class _WatchLoop:
             draft.put(snapshot=snapshot)
             if paused or self._options.control.stop_requested.is_set():
                 return
+            self._options.on_sample(snapshot)
             plan = self._plan(snapshot)
             draft.put(plan=plan)
             self._said += take_given_up_reminders(fleet, plan)

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Findings of ``edgectl doctor``, host by host."""
 
+import platform
 from collections.abc import Sequence
 
+from edgectl import __version__
 from edgectl.formats.document import Document, without_none
 from edgectl.model.diagnosis import Diagnosis, Finding, Severity
 from edgectl.views.output import ListView
-from edgectl.views.output_format import ITEM_FORMATS
+from edgectl.views.output_format import DIAGNOSIS_FORMATS
+from edgectl.views.plan import escape_markdown
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, escape_unprintable, render_columns, style_text
 
 _LEVEL_STYLES = {Severity.OK: "good", Severity.WARNING: "warn", Severity.FAILED: "bad"}
@@ -21,7 +24,7 @@ class DiagnosisView(ListView):
     """The finding of each check."""
 
     kind = "finding"
-    formats = ITEM_FORMATS
+    formats = DIAGNOSIS_FORMATS
 
     def __init__(self, diagnosis: Diagnosis) -> None:
         self._diagnosis = diagnosis
@@ -33,9 +36,28 @@ class DiagnosisView(ListView):
         parts = [_render_host_findings(host, value, look) for host in hosts]
         return "\n".join([*parts, _render_diagnosis_summary(value, look)])
 
+    def markdown(self) -> str:
+        """A report to paste into an issue: the versions, and what is not in order; the rest folded away."""
+        worst = [each for each in self._diagnosis.findings if each.level is not Severity.OK]
+        versions = f"edgectl {__version__}, Python {platform.python_version()}, {platform.platform()}"
+        lines = [
+            f"- **{each.host or _THIS_MACHINE}**: {escape_markdown(_describe_finding(each))}"
+            for each in worst
+        ]
+        whole = self.table().replace("```", "'''")
+        return (
+            "\n".join([versions, "", *(lines or ["Nothing is wrong."])])
+            + f"\n\n<details><summary>All checks</summary>\n\n```\n{whole}```\n\n</details>\n"
+        )
+
     def items(self) -> Sequence[Document]:
         """The findings as JSON types; ``host`` is null where the manager's machine is meant."""
         return [_encode_finding(finding) for finding in self._diagnosis.findings]
+
+
+def _describe_finding(finding: Finding) -> str:
+    fix = f" (fix: {finding.remedy})" if finding.remedy else ""
+    return f"{_LEVEL_WORDS[finding.level]} {finding.check}: {finding.message}{fix}"
 
 
 def _render_host_findings(host: str | None, value: Diagnosis, look: RenderOptions) -> str:

@@ -176,7 +176,7 @@ INNER_KEYS: KeysByName = {
     ),
     "difference": _INTERVAL,
     "ratio": _INTERVAL,
-    "mission_events": ("event_name", "kind", "subject", "begin_s", "failures", *_RECOVERY),
+    "mission_events": ("event_name", "kind", "subject", "run_count", "begin_s", "failures", *_RECOVERY),
     "recoveries": _RECOVERY,
     "spec": (
         "template", "task_kind", "managed", "command", "image", "node_names", "robot_names", "needs",

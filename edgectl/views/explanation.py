@@ -182,7 +182,13 @@ def _list_sentences(value: Explanation, *, every: bool, complete: bool) -> Itera
         among = "" if complete else " of those that answer"
         yield f"No other host{among} fits (edgectl plan -o wide shows what each lacks)."
     if not value.flips and pinned is None:
-        yield _NO_CHANGE_FOUND if value.weighed else _NOT_BY_TOTALS
+        yield (
+            _NO_CHANGE_FOUND
+            if value.weighed
+            else _NOT_BY_TOTALS
+            if value.rule is None
+            else f"Policy {value.rule} decides by a rule of its own; changes are named for utility only."
+        )
     if value.bends:
         yield "Changes of loads are left out: the predicted latency counts, which is not linear in them."
     elif not value.linear:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Glossary of the outputs: type, unit and meaning of each key, heading of each column.
 
-One quantity has one key, one unit and one type wherever it stands. docs/reference/outputs.md is generated
+One quantity has one key, one unit and one type everywhere. docs/reference/outputs.md is generated
 from here.
 """
 
@@ -107,10 +107,10 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "access_point": "address of the access point that a radio has joined",
         "action": "action: start, stop, move, restart, adopt, keep, hold, complete, defer, unplaced, none",
         "address": "address of a host in the inventory",
-        "default": "what counts where a key of a file is not written",
+        "default": "value that counts if a key of a file is omitted",
         "meaning": "meaning of a key of a file, a code or a check",
         "name": "path of a key of a file, a code, or a check",
-        "allowed": "what may be written for a key of a file",
+        "allowed": "values that a key of a file may have",
         "attention": "reason why an operator should look at a task; null: none",
         "awaited": "state that is waited for: ready, completed or gone",
         "boot_id": "identity of the boot of a host",
@@ -151,7 +151,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "origin": "where a setting comes from: an option, a variable, or FILE:LINE",
         "order": "order of a handoff: stop-first or start-first",
         "outcome": "outcome of an action or a revision",
-        "partial": "what the traffic of a link or a task lacks: udp unseen, udp counted by link only",
+        "partial": "traffic missing in the reading of a link or task: udp unseen, udp counted by link only",
         "phase": "phase of an action",
         "policy": "name of a policy",
         "previous_host": "host before the decision",
@@ -165,10 +165,10 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "role": "edge or robot",
         "runner_up": "host with the second highest utility",
         "runtime": "runtime of the supervisors on a host: auto, systemd or process",
-        "safe_when": "command that tells when a handoff is safe",
+        "safe_when": "command that succeeds when a handoff is safe",
         "save": "command that prints the state of a task",
         "scenario": "name of a scenario",
-        "answer": "what the comparison of the main scheme with its base shows, in a sentence",
+        "answer": "result of the comparison of the main scheme with its base, in a sentence",
         "base": "name of the scheme that another is compared with",
         "metric": "name of a metric that schemes are compared in",
         "event_name": "name of an event of a mission",
@@ -193,7 +193,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "user": "user",
         "verb": "command that made a revision",
         "pinned_to": "host that the task file or edgectl move pins a task to",
-        "tie_rule": "what decides between hosts of equal utility",
+        "tie_rule": "rule that decides between hosts of equal utility",
         "winner": "host that would win after a change",
     },
     KeyType.NUMBER: {
@@ -211,7 +211,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "downtime_s": "gap of a handoff, from stop to ready",
         "gap_s": "longest silence of a task at its robot during a handoff, where the task states heard",
         "duration_s": "time that an operation took",
-        "every_s": "period that was asked for",
+        "every_s": "requested period",
         "exit_code": "exit code of a task that ended",
         "format_version": "version of the document",
         "generation": "number of a start; the highest is the current one",
@@ -230,8 +230,8 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "p95_ms": "95th percentile of a latency",
         "p99_ms": "99th percentile of a latency",
         "service_ms": "time of a job on an idle host, median",
-        "transfer_ms": "time of the bytes of a job on what is free of the link",
-        "waiting_ms": "what the load of others adds to the time of a job, mean",
+        "transfer_ms": "time of the bytes of a job on the free part of the link",
+        "waiting_ms": "mean time that the load of others adds to a job",
         "load_1m": "load average over one minute",
         "load_s": "time until a state was loaded",
         "max": "maximum",
@@ -284,7 +284,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "samples": "number of samples",
         "save_s": "time until a state was saved",
         "sent_bytes": "bytes that the transfer of a state took",
-        "size": "change as a share of what it changes",
+        "size": "change as a share of the changed value",
         "size_bytes": "size of a state that a move took along",
         "slack": "smallest change of the utility that would alter the decision",
         "span_s": "time between the first and the last sample",
@@ -311,7 +311,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
     KeyType.FLAG: {
         "hard_deadline": "whether a task goes only where it is expected to keep its deadline",
         "chosen": "whether a context is in effect",
-        "current": "whether a profiler measures what the files ask for",
+        "current": "whether a profiler has the settings of the files",
         "done": "whether every action was carried out",
         "elsewhere": "whether the service time is that of another class of hosts",
         "enough": "whether there are enough samples for a demand",
@@ -324,7 +324,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "ok": "whether a phase succeeded",
         "onboard": "whether a robot is a candidate for its own tasks",
         "paused": "whether a watch is paused",
-        "reached": "whether a task has come as far as is waited for",
+        "reached": "whether a task has reached the awaited state",
         "relative": "whether an amount is a share of the capacity",
         "counted": "whether each address of a robot has a byte counter",
         "resident": "whether a resident profiler took the sample",
@@ -392,7 +392,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "resting": "tasks that a watch leaves alone after a failure",
         "robot_names": "names of robots",
         "runs": "runs of a task by host",
-        "standbys": "inactive copies of a task, as they are or as the plan wants them",
+        "standbys": "inactive copies of a task, present or planned",
         "schemes": "results by scheme",
         "task_names": "names of tasks",
         "warnings": "remarks on the whole",

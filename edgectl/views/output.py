@@ -51,6 +51,10 @@ class View:
         """A comment or a page."""
         raise NotImplementedError
 
+    def gitlab(self) -> str:
+        """A report of a GitLab job."""
+        raise NotImplementedError
+
 
 class EnvelopeView(View):
     """A document with an envelope: version, kind, and the remarks that tables have as notes."""
@@ -135,5 +139,7 @@ def render_view(view: View, form: OutputFormat, look: RenderOptions = PLAIN) -> 
             return encoder.encode_csv(view.rows())
         case OutputFormat.NAME:
             return "".join(f"{escape_unprintable(name)}\n" for name in dict.fromkeys(view.names()))
+        case OutputFormat.GITLAB:
+            return view.gitlab()
         case _:
             return view.markdown()

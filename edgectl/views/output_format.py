@@ -27,6 +27,8 @@ class OutputFormat(StrEnum):
 
 Formats = tuple[OutputFormat, ...]
 
+# What people read.
+HUMAN_FORMATS: Formats = (OutputFormat.TABLE, OutputFormat.WIDE)
 # All derived from one document.
 DOCUMENT_FORMATS: Formats = (OutputFormat.JSON, OutputFormat.JSONL, OutputFormat.YAML, OutputFormat.CSV)
 ITEM_FORMATS: Formats = (OutputFormat.TABLE, *DOCUMENT_FORMATS)
@@ -34,7 +36,8 @@ WIDE_FORMATS: Formats = (OutputFormat.TABLE, OutputFormat.WIDE, *DOCUMENT_FORMAT
 NAMED_FORMATS: Formats = (*ITEM_FORMATS, OutputFormat.NAME)
 FLEET_FORMATS: Formats = (*WIDE_FORMATS, OutputFormat.NAME)
 EXPERIMENT_FORMATS: Formats = (*WIDE_FORMATS, OutputFormat.MARKDOWN)
-PLAN_FORMATS: Formats = (*FLEET_FORMATS, OutputFormat.MARKDOWN)
+PLAN_FORMATS: Formats = (*FLEET_FORMATS, OutputFormat.MARKDOWN, OutputFormat.GITLAB)
+DIAGNOSIS_FORMATS: Formats = (*ITEM_FORMATS, OutputFormat.MARKDOWN)
 VALIDATION_FORMATS: Formats = (*ITEM_FORMATS, OutputFormat.GITHUB, OutputFormat.GITLAB)
 GRAPH_FORMATS: Formats = (OutputFormat.MERMAID, OutputFormat.DOT)
 CYCLE_FORMATS: Formats = (OutputFormat.TABLE, OutputFormat.JSONL)

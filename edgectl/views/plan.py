@@ -142,6 +142,12 @@ class PlanView(View):
         """The tasks of the plan."""
         return [f"task/{step.task}" for step in self._plan.steps]
 
+    def gitlab(self) -> str:
+        """The counts that a merge request of GitLab shows (``artifacts:reports:terraform``)."""
+        from edgectl.views.gitlab import render_plan_counts
+
+        return render_plan_counts(self._plan)
+
     def markdown(self) -> str:
         """A comment on a pull request; the expected load and the demands folded away."""
         rows = "".join(

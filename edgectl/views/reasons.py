@@ -47,6 +47,7 @@ _RULE_TEXTS = {
 # Of a pin of an operator, where the words of a ranking would not be true.
 _OBSTACLE_TEXTS = {
     RejectionRule.INSUFFICIENT: "too small for it",
+    RejectionRule.DEADLINE_MISSED: "too slow for its hard deadline",
     RejectionRule.TOGETHER: "not where a task that goes with it is pinned",
     RejectionRule.APART: "pinned by a task that it is apart from",
 }

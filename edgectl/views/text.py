@@ -70,6 +70,16 @@ def detect_render_options(stream: TextIO) -> RenderOptions:
     )
 
 
+def is_ci() -> bool:
+    """Whether a CI job runs this: nobody is there to be asked, and nothing is drawn in place."""
+    return os.environ.get("CI", "").lower() not in ("", "0", "false")
+
+
+def render_fleet_line(fleet: str, look: RenderOptions) -> str:
+    """The name of the fleet above a table on a terminal; elsewhere nothing."""
+    return "" if look.width is None else style_text(f"Fleet {escape_unprintable(fleet)}", "bold", look) + "\n"
+
+
 def _can_show_unicode(stream: TextIO) -> bool:
     """Whether block glyphs show: not with NO_UNICODE or the C locale (Python itself takes C for UTF-8)."""
     plain = os.environ.get("NO_UNICODE") or os.environ.get("LC_ALL") in ("C", "POSIX")

@@ -2,6 +2,7 @@
 """Usage of hosts, now and over the last samples, against capacity and limits."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from edgectl.formats.document import Document, without_none
 from edgectl.model.inventory import Host, Inventory, Limits
@@ -39,8 +40,20 @@ class TopHostsView(ListView):
     kind = "host-usage"
     formats = WIDE_FORMATS
 
-    def __init__(self, snapshot: Snapshot, inventory: Inventory, points: Iterable[HostPoint]) -> None:
-        self._snapshot, self._inventory = snapshot, inventory
+    def __init__(
+        self,
+        snapshot: Snapshot,
+        inventory: Inventory,
+        points: Iterable[HostPoint],
+        *,
+        order: Sequence[int] | None = None,
+        headers: bool = True,
+    ) -> None:
+        """``order``: the places of the hosts, where they are sorted otherwise than in the inventory."""
+        names = list(snapshot.hosts)
+        hosts = {names[place]: snapshot.hosts[names[place]] for place in order or ()}
+        self._snapshot = replace(snapshot, hosts=hosts) if hosts else snapshot
+        self._inventory, self._headers = inventory, headers
         self._points = group_points_by_host(points)
 
     def table(self, look: RenderOptions = PLAIN) -> str:
@@ -61,7 +74,9 @@ class TopHostsView(ListView):
             ([_get_cpu_share(point) for point in self._points.get(name, ())], 1.0) for name in value.hosts
         ]
         first: Row = (*_HOST_HEAD, *_WIDE_HOST_HEAD) if wide else _HOST_HEAD
-        return render_with_sparklines([first, *rows], histories, look, right=_HOST_RIGHT_COLUMNS)
+        return render_with_sparklines(
+            [first, *rows], histories, look, right=_HOST_RIGHT_COLUMNS, headers=self._headers
+        )
 
     def items(self) -> Sequence[Document]:
         """The hosts as JSON types, each with its last samples, oldest first."""

@@ -57,9 +57,18 @@ class TopTasksView(ListView):
     formats = WIDE_FORMATS
 
     def __init__(
-        self, snapshot: Snapshot, inventory: Inventory, tasks: Tasks, points: Iterable[TaskPoint]
+        self,
+        snapshot: Snapshot,
+        inventory: Inventory,
+        tasks: Tasks,
+        points: Iterable[TaskPoint],
+        *,
+        order: Sequence[int] | None = None,
+        headers: bool = True,
     ) -> None:
+        """``order``: the places of the tasks and copies, where they are sorted otherwise than by name."""
         self._snapshot, self._inventory, self._tasks = snapshot, inventory, tasks
+        self._order, self._headers = order, headers
         self._points = group_points_by_task(points)
 
     def table(self, look: RenderOptions = PLAIN) -> str:
@@ -86,7 +95,10 @@ class TopTasksView(ListView):
             rows.append(_render_copy_row(name, host, copy, self._snapshot, wide=wide))
             histories.append(((), 0.0))
         right = _RIGHT_COLUMNS | _WIDE_RIGHT_COLUMNS if wide else _RIGHT_COLUMNS
-        body = render_with_sparklines(rows, histories, look, right=right)
+        if self._order is not None:
+            rows = [rows[0], *(rows[1 + place] for place in self._order)]
+            histories = [histories[place] for place in self._order]
+        body = render_with_sparklines(rows, histories, look, right=right, headers=self._headers)
         measured = latency.render_latency_rows(runs)
         below = [
             render_columns(measured, look, right=set(latency.RIGHT_COLUMNS)),
@@ -118,7 +130,7 @@ class TopTasksView(ListView):
 
     def items(self) -> Sequence[Document]:
         """The tasks as JSON types, each with its last samples, oldest first."""
-        return [
+        found = [
             encode_run_row(name, host, sample, self._find_demand(name, host), self._snapshot)
             | {"history": list(map(_encode_task_point, self._points.get(name, ())))}
             for name, host, sample in _list_running_tasks(self._snapshot)
@@ -126,6 +138,7 @@ class TopTasksView(ListView):
             encode_standby_row(name, host, copy, {}, self._snapshot) | {"history": []}
             for name, host, copy in _list_living_copies(self._snapshot)
         ]
+        return found if self._order is None else [found[place] for place in self._order]
 
     def warnings(self) -> Sequence[str]:
         """Tasks that do not run, and hosts without a reply."""

@@ -123,15 +123,16 @@ def render_with_sparklines(
     look: RenderOptions,
     *,
     right: Collection[int] = (),
+    headers: bool = True,
 ) -> str:
-    """The rows (the first has the headings) with a sparkline each: its values, and the value of its top.
+    """The rows (the first has the ``headers``) with a sparkline each: its values, and the value of its top.
 
     Beside the table where there is room, for the shortest one also by wrapped headings; else below its row.
     None without a terminal.
     """
     longest = min(SPARKLINE_SAMPLES, max((len(values) for values, _ in histories), default=0))
     if look.width is None or not longest:
-        return render_columns(rows, look, right=right, wrap=_WRAPPED_COLUMNS)
+        return render_columns(rows[0 if headers else 1 :], look, right=right, wrap=_WRAPPED_COLUMNS)
     shortest, room = min(longest, _MIN_SPARKLINE_WIDTH), compute_remaining_width(rows, look)
     if room < shortest:
         room = min(shortest, compute_remaining_width(rows, look, wrap_headings=True))
@@ -141,4 +142,5 @@ def render_with_sparklines(
     title = f"CPU, LAST {width} SAMPLES"
     title_cell = Cell(title if beside and len(title) <= room else "", "head")
     drawn = [(*rows[0], title_cell), *((*row, line) for row, line in zip(rows[1:], lines, strict=True))]
-    return render_columns(drawn, look, right=right, wrap=_WRAPPED_COLUMNS, below=not beside)
+    shown = drawn[0 if headers else 1 :]
+    return render_columns(shown, look, right=right, wrap=_WRAPPED_COLUMNS, below=not beside)

@@ -2,6 +2,7 @@
 other programs on a blackboard.
 
     python3 robot.py [--check]
+    read -r _ <"$HOME/edgectl-patrol/frame-robot1"      returns when robot1 has another result of that sense
 
 Serves over TCP at its own address ($EDGECTL_ROBOT_HOST), port 27000 and the number in its name: ``frame`` (a
 camera image), ``scan`` (laser ranges), ``result`` (of what was found in one of them), ``pose``, ``drive`` (a
@@ -14,6 +15,7 @@ velocity; the robot stops half a second after the last one), ``put`` and ``get``
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import os
 import random
@@ -22,6 +24,7 @@ import sys
 import threading
 import time
 from array import array
+from pathlib import Path
 
 import wire
 import world
@@ -66,7 +69,10 @@ class Sense:
 
 
 class Robot:
-    """Where it is, what it was told, and what it holds for others."""
+    """Where it is, what it was told, and what it holds for others.
+
+    ``pipes``: by sense, where to tell of a result.
+    """
 
     def __init__(self, number: int, seed: int = world.SEED) -> None:
         self.plan = world.Plan(seed)
@@ -78,6 +84,7 @@ class Robot:
         self.lock = threading.Lock()
         self.board: dict[str, bytes] = {}
         self.senses = {"frame": Sense(), "scan": Sense()}
+        self.pipes: dict[str, str] = {}
         self.over = False
 
     def safe_speed(self, now: float) -> float:
@@ -187,6 +194,7 @@ def note_result(robot: Robot, request: dict[str, object], reply: dict[str, objec
     """Take in a result, and reply how old its data is; how long the sense had none while its task moved."""
     sense = robot.senses[str(request["of"])]
     age, gap = sense.note(int(str(request["number"])), str(request["who"]), now)
+    tell(robot.pipes.get(str(request["of"]), ""))
     reply["age_ms"] = 1000 * age
     return gap
 
@@ -219,6 +227,25 @@ def answer(robot: Robot, request: dict[str, object], payload: bytes) -> tuple[di
     if gap:
         wire.report(gap_ms=1000 * gap)
     return reply, body
+
+
+def tell(pipe: str) -> None:
+    """Wake whoever reads the pipe; mostly nobody does."""
+    with contextlib.suppress(OSError):
+        end = os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
+        try:
+            os.write(end, b"\n")
+        finally:
+            os.close(end)
+
+
+def make_pipes(robot: Robot, name: str, folder: Path) -> None:
+    """A pipe for each sense of the robot of this name."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for sense in robot.senses:
+        robot.pipes[sense] = str(folder / f"{sense}-{name}")
+        with contextlib.suppress(FileExistsError):
+            os.mkfifo(robot.pipes[sense], 0o600)
 
 
 class Server(socketserver.ThreadingTCPServer):
@@ -259,6 +286,7 @@ def main() -> int:
     address = (os.environ.get("EDGECTL_ROBOT_HOST") or "127.0.0.1", wire.port(name))
     with Server(address, Session) as server:
         server.robot = Robot(number)
+        make_pipes(server.robot, name, Path.home() / "edgectl-patrol")
         sys.stdout.write("{} serves at {}:{}\n".format(name, *address))
         sys.stdout.flush()
         server.serve_forever()

@@ -21,7 +21,7 @@ import pytest
 from edgectl.agent.link.errors import RefusalError
 from edgectl.agent.measure import detection, proc
 from edgectl.agent.ros import local
-from edgectl.agent.supervise.alive import AliveCheck
+from edgectl.agent.supervise.checks import AliveCheck
 from edgectl.errors import RefusedError
 from tests import ros1_peer
 from tests.agent.conftest import AgentHost, eventually, is_running

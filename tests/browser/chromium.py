@@ -20,6 +20,10 @@ PROGRAMS = ("chromium-headless-shell", "chromium", "google-chrome")
 _REQUEST_FD, _REPLY_FD = 3, 4
 
 
+class NavigatedError(Exception):
+    """The page went elsewhere while an expression was evaluated in it."""
+
+
 class Browser:
     """One page of a browser."""
 
@@ -46,6 +50,8 @@ class Browser:
         while True:
             found = self._read(end)
             if found.get("id") == self._number:
+                if "navigated" in str(found.get("error")):
+                    raise NavigatedError
                 assert "error" not in found, found
                 return dict(found["result"])
             self.events.append(found)
@@ -86,8 +92,9 @@ class Browser:
         """The value of the expression as soon as it is true."""
         end = time.monotonic() + patience(60)
         while time.monotonic() < end:
-            if found := self.evaluate(script):
-                return found
+            with contextlib.suppress(NavigatedError):
+                if found := self.evaluate(script):
+                    return found
             time.sleep(0.05)
         raise AssertionError(f"never true: {script}")
 
@@ -95,6 +102,29 @@ class Browser:
         """Press a key."""
         for kind in ("keyDown", "keyUp"):
             self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=9)
+
+    @contextlib.contextmanager
+    def trace(self) -> Iterator[list[dict[str, Any]]]:
+        """Record what the browser's threads do; the events are in the list once the block has ended."""
+        categories = [
+            "toplevel",
+            "devtools.timeline",
+            "blink.user_timing",
+            "disabled-by-default-devtools.timeline",
+        ]
+        self._call(
+            "Tracing.start", traceConfig={"includedCategories": categories}, transferMode="ReportEvents"
+        )
+        found: list[dict[str, Any]] = []
+        yield found
+        self._call("Tracing.end")
+        end = time.monotonic() + patience(60)
+        while not any(event["method"] == "Tracing.tracingComplete" for event in self.events):
+            self.events.append(self._read(end))
+        for event in self.events:
+            if event["method"] == "Tracing.dataCollected":
+                found += event["params"]["value"]
+        self.events = [event for event in self.events if not event["method"].startswith("Tracing.")]
 
     def save_screenshot(self, path: Path) -> None:
         """The visible part of the page as PNG."""

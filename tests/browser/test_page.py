@@ -2,6 +2,8 @@
 """The page in a real Chromium: make browser."""
 
 import itertools
+import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,10 +13,13 @@ import pytest
 from edgectl.errors import StateError
 from edgectl.formats.document import Document
 from tests.browser.chromium import Browser, run_browser
-from tests.pace import patience
+from tests.cli.inprocess import edgectl
 from tests.web.servers import run_page_server
 
-SHOTS = Path(__file__).parents[2] / "runs" / "browser"
+ROOT = Path(__file__).parents[2]
+SHOTS = ROOT / "runs" / "browser"
+# .ci/need-browser puts it there.
+AXE = ROOT / ".venv" / "axe" / "axe.min.js"
 HOSTS, TASKS, ROBOTS = 200, 500, 10
 HOSTILE = "<img src=x onerror=alert(1)>\u202e\x1b[31m"
 SHOWN = "document.documentElement?.dataset.version >= "
@@ -102,31 +107,124 @@ def list_names(browser: Browser, role: str) -> list[str]:
     ]
 
 
+TASK_EVENTS = ("RunTask", "ThreadControllerImpl::RunTask")
+
+
+def sum_cpu_ms(
+    events: list[dict[str, Any]], thread: tuple[int, int], begin_us: float, end_us: float
+) -> float:
+    """CPU time of a thread between two instants of the trace: of its tasks, which do not overlap."""
+    return (
+        sum(
+            event.get("tdur", 0)
+            for event in events
+            if event["ph"] == "X"
+            and event["name"] in TASK_EVENTS
+            and (event["pid"], event["tid"]) == thread
+            and begin_us <= event["ts"] < end_us
+        )
+        / 1000
+    )
+
+
 def test_a_large_fleet_is_painted_and_updated_in_time(browser: Browser) -> None:
+    """In CPU time of the page's thread, which other programs of the machine do not lengthen."""
     rounds = itertools.count()
     with run_page_server(lambda: a_large_document(next(rounds)), every=1.0) as (made, feed):
         feed.wait_newer(0, 60)
         browser.resize(1280, 900)
-        browser.open(f"http://127.0.0.1:{made.server_port}/")
-        painted = browser.wait_for(
-            f"{SHOWN}1 && performance.now() - 0 && performance.getEntriesByName('edgectl-update')[0].startTime + performance.getEntriesByName('edgectl-update')[0].duration"
+        with browser.trace() as events:
+            browser.open(f"http://127.0.0.1:{made.server_port}/")
+            browser.wait_for(f"{SHOWN}1")
+            browser.wait_for("performance.getEntriesByName('edgectl-update').length >= 8")
+        updates = sorted(
+            (event for event in events if event["name"] == "edgectl-update"), key=lambda event: event["ts"]
         )
-        browser.wait_for("performance.getEntriesByName('edgectl-update').length >= 8")
-        update = browser.evaluate(
-            "Math.min(...performance.getEntriesByName('edgectl-update').slice(1).map(each => each.duration))"
+        begins = [event for event in updates if event["ph"] == "b"]
+        ends = [event for event in updates if event["ph"] == "e"]
+        thread = (begins[0]["pid"], begins[0]["tid"])
+        loaded = min(event["ts"] for event in events if event["name"] == "navigationStart")
+        painted_us = min(
+            event["ts"]
+            for event in events
+            if event["name"] == "Paint"
+            and (event["pid"], event["tid"]) == thread
+            and event["ts"] > ends[0]["ts"]
         )
-        print(f"values on the page after {painted:.0f} ms; quickest of seven updates: {update:.0f} ms")
+        painted = sum_cpu_ms(events, thread, loaded, painted_us)
+        # The update is one task of the thread, with nothing but its script.
+        scripts = sorted(
+            event.get("tdur", 0) / 1000
+            for event in events
+            if event["name"] in TASK_EVENTS
+            and (event["pid"], event["tid"]) == thread
+            and any(event["ts"] <= begin["ts"] <= event["ts"] + event.get("dur", 0) for begin in begins[1:])
+        )
+        print(f"values painted after {painted:.0f} ms of CPU, {(painted_us - loaded) / 1000:.0f} ms of time")
+        print(f"scripting of {len(begins) - 1} updates: {scripts[0]:.0f} to {scripts[-1]:.0f} ms of CPU")
         SHOTS.mkdir(parents=True, exist_ok=True)
         browser.save_screenshot(SHOTS / "large-1280.png")
-        # On a machine that does nothing else: 0.5 s and 50 ms.
-        assert painted < 500 * patience(1)
-        assert update < 50 * patience(1)
-        assert browser.evaluate("document.querySelectorAll('#tasks tbody tr').length") == TASKS
+        assert 0 < painted < 500
+        assert 0 < scripts[len(scripts) // 2] < 50
+        browser.wait_for(f"document.querySelectorAll('#tasks tbody tr').length === {TASKS}")
         assert browser.evaluate("document.querySelectorAll('#links tbody tr').length") == 40
     assert list_complaints(browser) == []
 
 
-@pytest.mark.parametrize(("width", "dark"), [(400, False), (400, True), (1280, False), (1280, True)])
+def a_small_document() -> Document:
+    """The same of twenty hosts, for what looks at each element."""
+    item = dict(a_large_document(0)["item"])
+    return {
+        **a_large_document(0),
+        "item": {**item, "tasks": item["tasks"][:30], "hosts": item["hosts"][:20], "links": item["links"][:45], "moves": item["moves"][:3]},
+    }  # fmt: skip
+
+
+def run_axe(browser: Browser) -> None:
+    """Names, roles, order of headings and contrast of the open page, by axe-core of the npm registry."""
+    browser.evaluate(f"{AXE.read_text()}; 0")
+    found = browser.evaluate(
+        "axe.run().then(found => JSON.stringify({passes: found.passes.map(each => each.id), violations: "
+        "found.violations.map(each => [each.id, each.impact, each.nodes.slice(0, 3).map(node => node.html + node.failureSummary)])}))"
+    )
+    report = json.loads(found)
+    assert report["violations"] == []
+    assert {"color-contrast", "page-has-heading-one"} <= set(report["passes"]), "nothing was judged"
+
+
+SIZES = pytest.mark.parametrize(("width", "dark"), [(400, False), (400, True), (1280, False), (1280, True)])
+
+
+@SIZES
+def test_axe_finds_nothing(browser: Browser, width: int, dark: bool) -> None:
+    with run_page_server(a_small_document, every=600) as (made, feed):
+        feed.wait_newer(0, 60)
+        browser.resize(width, 900, dark=dark)
+        browser.open(f"http://127.0.0.1:{made.server_port}/")
+        browser.wait_for(f"{SHOWN}1")
+        run_axe(browser)
+
+
+@SIZES
+def test_a_report_fits_and_axe_finds_nothing(
+    browser: Browser, width: int, dark: bool, tmp_path: Path
+) -> None:
+    page = tmp_path / "report.html"
+    done = edgectl(["report", str(ROOT / "docs/examples/run"), "--out", str(page)], tmp_path, os.environ)
+    assert done.code == 0, done.err
+    browser.resize(width, 1400, dark=dark)
+    browser.open(page.as_uri())
+    browser.wait_for("document.readyState === 'complete'")
+    assert browser.evaluate("document.documentElement.scrollWidth") <= width
+    SHOTS.mkdir(parents=True, exist_ok=True)
+    name = f"report-{width}-{'dark' if dark else 'light'}"
+    browser.save_screenshot(SHOTS / f"{name}.png")
+    browser.evaluate("document.querySelector('figure').scrollIntoView()")
+    browser.save_screenshot(SHOTS / f"{name}-figure.png")
+    run_axe(browser)
+
+
+@SIZES
 def test_it_fits_and_shows_texts_of_hosts_as_text(browser: Browser, width: int, dark: bool) -> None:
     browser.events.clear()
     with run_page_server(lambda: a_large_document(0), every=600) as (made, feed):
@@ -194,7 +292,7 @@ def test_it_says_that_values_are_old(browser: Browser) -> None:
             "document.querySelector('#stale').textContent.includes('The last probe failed: the disk is <full>.')"
         )
     browser.wait_for("document.querySelector('#stale').textContent.includes('No connection')")
-    assert browser.evaluate("document.querySelectorAll('#tasks tbody tr').length") == TASKS
+    browser.wait_for(f"document.querySelectorAll('#tasks tbody tr').length === {TASKS}")
 
 
 def test_a_token_is_asked_for_and_leaves_the_address(browser: Browser) -> None:
@@ -205,7 +303,7 @@ def test_a_token_is_asked_for_and_leaves_the_address(browser: Browser) -> None:
         browser.open(url)
         browser.wait_for("document.activeElement && document.activeElement.id === 'token'")
         browser.call("Input.insertText", text=token)
-        browser.evaluate("document.forms[0].requestSubmit()")
+        browser.evaluate("setTimeout(() => document.forms[0].requestSubmit()); 0")
         browser.wait_for(f"{SHOWN}1")
         assert browser.evaluate("location.href") == url
         assert browser.evaluate("document.cookie") == ""

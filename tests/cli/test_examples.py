@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.cli.app import COMMANDS, split_docstring
+from edgectl.cli.app import COMMANDS, GROUP_EXAMPLES, split_docstring
 from edgectl.scaffold.write import write_scaffold
 from tests.cli.conftest import Run
 from tests.cli.terminal import Terminal
@@ -75,6 +75,7 @@ def examples() -> list[str]:
             import_module(f"edgectl.{entry.module}"), f"{name.replace(' ', '_').replace('-', '_')}_command"
         )
         found += [line.strip() for line in split_docstring(function)[1].splitlines()]
+    found += [line for lines in GROUP_EXAMPLES.values() for line in lines if line not in found]
     early = [line for start in EARLY for line in found if line.startswith(start)]
     late = [line for start in LATE for line in found if line.startswith(start)]
     middle = [line for line in found if line not in (*FIRST, *early, *late)]

@@ -121,7 +121,7 @@ def hosts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run) -> FakeFlee
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
     monkeypatch.chdir(tmp_path)
     (tmp_path / "fleet.yaml").write_text(
-        "version: 1\nedges:\n  edge1: {host: edge1.lab}\n  edge2: {host: edge2.lab}\n"
+        "version: 1\nfleet: fleet\nedges:\n  edge1: {host: edge1.lab}\n  edge2: {host: edge2.lab}\n"
     )
     (tmp_path / "tasks.yaml").write_text(
         "version: 1\ntasks:\n"

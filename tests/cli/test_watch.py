@@ -21,6 +21,7 @@ from tests.pace import patience
 
 INVENTORY = """\
 version: 1
+fleet: one
 defaults: {connection: local}
 edges:
   edge1: {host: localhost, capacity: {cpu: 4, memory: 1Gi}}

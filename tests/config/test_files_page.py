@@ -27,7 +27,7 @@ from edgectl.config import (
 from edgectl.config import fields as config_fields
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.config.problems import ProblemCode
-from edgectl.experiments.files import experiment_file, run_codec
+from edgectl.experiments.files import experiment_file, run_codec, scenario_file
 from edgectl.formats.kinds import PLAN_KIND, SNAPSHOT_KIND
 from edgectl.model.inventory import Host, Role
 from edgectl.model.latency import LatencySample
@@ -40,6 +40,7 @@ from edgectl.model.snapshot import (
     ResourceUsage,
     TaskSample,
     TaskState,
+    TermRatings,
 )
 from edgectl.model.snapshot import HostStatus as Status
 from edgectl.model.task import Task
@@ -86,6 +87,11 @@ TABLES: Mapping[str, tuple[Mapping[str, object], ...]] = {
     "## Experiment": (experiment_file.EXPERIMENT_KEYS,),
     "### Schemes": (experiment_file.SCHEMES_KEYS,),
     "### Maps": (experiment_file.MAP_PAIR_KEYS,),
+    "## Scenario": (scenario_file.SCENARIO_KEYS,),
+    "### Simulated hosts": (scenario_file.SIM_HOST_KEYS,),
+    "### Simulated jobs": (scenario_file.JOB_KEYS,),
+    "### Timing": (scenario_file.TIMING_KEYS,),
+    "### Simulated links": (scenario_file.LINK_KEYS,),
 }
 
 
@@ -168,7 +174,12 @@ def test_keys_of_a_snapshot_are_complete() -> None:
         engines=("docker",),
     )
     document = SNAPSHOT_KIND.encode(
-        type(SNAPSHOT)(taken_at=0.0, hosts={"h": sample}, manager=SNAPSHOT.manager)
+        type(SNAPSHOT)(
+            taken_at=0.0,
+            hosts={"h": sample},
+            manager=SNAPSHOT.manager,
+            ratings={"heat": TermRatings(package="lab 0.1", tasks={"t": {"h": 0.5}})},
+        )
     )
     encoded = document["hosts"]["h"]  # type: ignore[index]
     assert read_tables("## Snapshot") == [list(document), list(encoded), list(encoded["tasks"]["t"])]

@@ -23,12 +23,15 @@ from edgectl.experiments.model.comparison import SchemeResult
 from edgectl.experiments.model.experiment import ExperimentRun, Trial
 from edgectl.experiments.scheme_results import compute_estimate, summarize_trials
 from tests.docs.blocks import environment
+from tests.experiments.lab.machine import FILE_NAME, MachineSample, compute_others, load_samples
 
 ROOT = Path(__file__).parents[2]
 PAGE, RUN, FIGURES = ROOT / "docs" / "evaluation.md", ROOT / "docs" / "experiment", ROOT / "docs" / "figures"
 DRAWN = ("latency.svg", "cpu.svg", "gantt.svg", "metric-1.svg")
 # The plan of the evaluation counts a run from so many repetitions on.
 COUNTED = 10
+# It sets a repetition aside in which others used more.
+BUSY_CORES = 0.1
 _PART = re.compile(r"(<!-- from the run: (\w+) -->\n).*?(<!-- end -->\n)", re.DOTALL)
 _EXACT = re.compile(r"(<!-- exact -->\n```console\n)(.*?)(^```$)", re.MULTILINE | re.DOTALL)
 
@@ -43,12 +46,32 @@ def describe_status(run: ExperimentRun) -> str:
     complete = min(sum(trial.scheme == each.name for trial in run.trials) for each in run.experiment.schemes)
     first = datetime.fromtimestamp(min(trial.began_at for trial in run.trials), UTC).date().isoformat()
     what = f"{len(run.trials)} trials of {first}, {complete} of each scheme"
+    load = describe_machine(run, load_samples(RUN / FILE_NAME))
     if complete >= COUNTED:
-        return f"The run: {what}.\n"
+        return f"The run: {what}.\n{load}\n"
     return (
-        f"**This run does not count.** It has {what}, on a\nmachine that was busy with other work; the "
-        f"[plan](evaluation/plan.md) asks for {COUNTED}. What follows shows what is measured, and proves nothing.\n"
+        f"**This run does not count.** It has {what};\nthe [plan](evaluation/plan.md) asks for {COUNTED}. "
+        f"What follows shows what is measured, and proves nothing.\n{load}\n"
     )
+
+
+def describe_machine(run: ExperimentRun, samples: Sequence[MachineSample]) -> str:
+    """How much processes outside of the experiment computed: the plan sets aside repetitions with more than a tenth of a core."""
+    found: dict[int, list[float]] = {}
+    for trial in run.trials:
+        others = compute_others(samples, trial.began_at, trial.began_at + trial.latency)
+        if others is not None:
+            found.setdefault(trial.repetition, []).append(others)
+    if not found:
+        return "What else the machine did was not recorded."
+    means = {repetition: sum(cores) / len(cores) for repetition, cores in found.items()}
+    busy = [str(repetition) for repetition, cores in sorted(means.items()) if cores > BUSY_CORES]
+    above = (
+        f"above {BUSY_CORES:g} in repetition {', '.join(busy)}" if busy else f"in none above {BUSY_CORES:g}"
+    )
+    least, most = (f"{cores:.2f}" for cores in (min(means.values()), max(means.values())))
+    cores = least if least == most else f"{least} to {most}"
+    return f"Other processes of the machine used {cores} cores on average in a repetition, {above}."
 
 
 def render_ages(run: ExperimentRun) -> str:
@@ -73,12 +96,7 @@ def render_ages(run: ExperimentRun) -> str:
 def _list_cells(result: SchemeResult, trials: Sequence[Trial]) -> list[str]:
     ages = [result.metrics.get(f"latency/{name}_ms") for name in ("p50", "p95", "p99")]
     values, misses = _sum_last(trials, "latency/values"), _sum_last(trials, "latency/misses")
-    gaps = [
-        reading.value / 1000
-        for trial in trials
-        for readings in trial.readings.get("gap_ms", {}).values()
-        for reading in readings
-    ]
+    gaps = [each.gap for trial in trials for each in trial.handoffs if each.gap is not None]
     return [
         " / ".join("-" if age is None else f"{age.mean:.0f}" for age in ages),
         f"{100 * misses / values:.0f} % of {values:.0f}" if values else "-",
@@ -143,7 +161,8 @@ def take_over(source: Path) -> None:
         sys.exit(f"{source} has {len(run.trials)} of {planned} trials: make experiment goes on with it")
     shutil.rmtree(RUN, ignore_errors=True)
     (RUN / "trials").mkdir(parents=True)
-    for path in (source / "run.json", *(source / "trials").glob("*.json")):
+    beside = [path for path in (source / FILE_NAME,) if path.exists()]
+    for path in (source / "run.json", *(source / "trials").glob("*.json"), *beside):
         target = RUN / path.relative_to(source)
         shutil.copyfile(path, target)
         target.chmod(0o644)

@@ -19,7 +19,7 @@ standard error; piped output has no colour, no borders and is never cut.
 | 1 | failed |
 | 2 | changes are pending (only with `--detailed-exitcode`) |
 | 3 | some task is unplaced (only with `--detailed-exitcode`; beats 2) |
-| 4 | partly: a host that should answer did not, an action failed or was deferred (beats 3) |
+| 4 | partly: a host that should answer did not, an action failed or was deferred, a mission of an experiment or a simulation did not end (beats 3) |
 | 64 | the call or a file is wrong |
 | 75 | another edgectl holds the fleet, its etcd or the ROS master does not answer, or the saved plan is stale: try again |
 | 130 | interrupted |

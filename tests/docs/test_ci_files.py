@@ -72,6 +72,11 @@ def test_the_template_of_gitlab_reports_mistakes(fleet: Path, tmp_path: Path) ->
         .read_text()
         .startswith("<!-- edgectl-plan -->")
     )
+    counts = json.loads(
+        (tmp_path / template["edgectl-plan"]["artifacts"]["reports"]["terraform"]).read_text()
+    )
+    assert counts.keys() == {"create", "update", "delete"}
+    assert sum(counts.values()) > 0
     (fleet / "tasks" / "demo.yaml").write_text("version: 1\ntasks: {slam: {comand: x}}\n")
     assert (
         run(

@@ -13,6 +13,8 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from tests.demo import LIMIT_S
+from tests.docs.recording import read_cast
+from tests.docs.screens import CAST, outline_demo
 from tests.views.fixtures import ROOT
 
 
@@ -51,3 +53,5 @@ def test_the_demo(tmp_path: Path) -> None:
     assert time.monotonic() - began < LIMIT_S
     assert "\n# detection-robot1 moved from " in done.stdout
     assert "# No task runs, and no process of this fleet is left.\n" in done.stdout
+    shown = outline_demo(read_cast(CAST).text)
+    assert shown == outline_demo(done.stdout), "run: .venv/bin/python -m tests.docs.screens --demo"

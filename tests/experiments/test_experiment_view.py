@@ -36,6 +36,7 @@ EVENT = EventResult(
     event="far",
     kind="link",
     subject="edge1",
+    runs=3,
     failed=1,
     at=Estimate(mean=30.0),
     recoveries=RecoveryResult(
@@ -250,6 +251,7 @@ def test_recovery_has_a_table_of_its_own() -> None:
             "event_name": "far",
             "kind": "link",
             "subject": "edge1",
+            "run_count": 3,
             "begin_s": 30.0,
             "failures": 1,
             "occurrences": 4,

@@ -173,7 +173,7 @@ def test_repetitions_are_drawn_by_the_repetition_of_the_trial(bench: Bench, tmp_
     )
     fleet = create_trial_fleet(bench.fleet, "again", bench.probe())
     means = EventMeans(fleet=fleet, ask=ask_nobody, ended=threading.Event())
-    with EventPerformer([event], means, build_uniform_draw("1")) as performer:
+    with EventPerformer([event], means, build_uniform_draw("1"), until=("tour",)) as performer:
         began = fleet.clock()
         performer.begin_mission()
         performer.begin_mission()
@@ -209,7 +209,7 @@ def test_what_a_killed_run_has_changed_is_undone_by_the_next(bench: Bench, tmp_p
         )
         for name, on in (("a", ""), ("b", "zinc"))
     ]
-    EventPerformer(changes, means, build_uniform_draw("1")).__enter__()
+    EventPerformer(changes, means, build_uniform_draw("1"), until=("tour",)).__enter__()
     assert logged(log) == ["a", "b"]
     clean_up_trials(bench.fleet)
     assert logged(log) == ["a", "b", "unb", "una"]
@@ -219,7 +219,7 @@ def test_what_a_killed_run_has_changed_is_undone_by_the_next(bench: Bench, tmp_p
     stuck = MissionEvent(name="c", at=0.0, run=EventCommand(argv=("true",), on="mint", undo=("false",)))
     other = MissionEvent(name="d", at=0.0, run=EventCommand(argv=log_to(log, "d"), undo=log_to(log, "und")))
     means = EventMeans(fleet=fleet, ask=ask_nobody, ended=threading.Event())
-    with EventPerformer([stuck, other], means, build_uniform_draw("1")) as performer:
+    with EventPerformer([stuck, other], means, build_uniform_draw("1"), until=("tour",)) as performer:
         records = performer.finish()
     assert [record.error for record in records] == ["not undone: false exited with 1", ""]
     assert logged(log)[-2:] == ["d", "und"], "what comes after it is undone all the same"
@@ -244,7 +244,7 @@ def test_changes_that_hold_at_the_end_are_undone_in_reverse(bench: Bench, tmp_pa
         MissionEvent(name="zed", run=runs["zed"], at=0.0, every=0.2, times=2),
         *(MissionEvent(name=name, run=runs[name], at=0.0) for name in ("mid", "ant")),
     ]
-    with EventPerformer(events, means, build_uniform_draw("1")) as performer:
+    with EventPerformer(events, means, build_uniform_draw("1"), until=("tour",)) as performer:
         performer.begin_mission()
         wait_for(lambda: len(logged(log)) == 4)
         performer.finish()
@@ -267,7 +267,7 @@ def test_a_change_during_which_the_manager_is_killed_is_undone(bench: Bench, tmp
     manager = os.fork()
     if manager == 0:
         means = EventMeans(fleet=fleet, ask=ask_nobody, ended=threading.Event())
-        EventPerformer(events, means, build_uniform_draw("1")).__enter__()
+        EventPerformer(events, means, build_uniform_draw("1"), until=("tour",)).__enter__()
         os._exit(0)
     assert os.waitstatus_to_exitcode(os.waitpid(manager, 0)[1]) == -signal.SIGKILL
     assert logged(log) == ["a", "b"]
@@ -282,9 +282,8 @@ def test_nothing_is_changed_that_could_not_be_undone_after_a_kill(bench: Bench, 
     (fleet.state / "changes.json.tmp").mkdir()
     means = EventMeans(fleet=fleet, ask=ask_nobody, ended=threading.Event())
     run = EventCommand(argv=log_to(log, "on"), undo=log_to(log, "off"))
-    with EventPerformer(
-        [MissionEvent(name="a", at=0.0, run=run)], means, build_uniform_draw("1")
-    ) as performer:
+    event = MissionEvent(name="a", at=0.0, run=run)
+    with EventPerformer([event], means, build_uniform_draw("1"), until=("tour",)) as performer:
         (record,) = performer.finish()
     assert "cannot open" in record.error
     assert logged(log) == []

@@ -21,10 +21,11 @@ from edgectl.experiments.model.experiment import (
     Trial,
 )
 from edgectl.experiments.model.mission_event import EventRecord, HostLoad, LinkChange, MissionEvent
-from edgectl.experiments.model.scenario import SimRun
+from edgectl.experiments.model.scenario import SimJob, SimRun
 from edgectl.experiments.recovery import Course, RecoveryRule, compute_recoveries
+from edgectl.model.task import Need, NeedCondition
 from tests.builders import a_task
-from tests.experiments.test_simulated_events import find_first_host, simulate
+from tests.experiments.test_simulated_events import build_scenario, find_first_host, run_scenario, simulate
 
 RULE = RecoveryRule(window=10.0, steady=20.0, within=0.1)
 Points = list[tuple[float, float | None]]
@@ -129,6 +130,27 @@ def test_a_joining_robot_is_recovered_once_its_tasks_run() -> None:
         simulate((event,), a_task("t", cpu=1.0, robots=["rover2"]), a_task("u", cpu=1.0)), 10.0
     )
     assert record.tasks == ("t",)
+    assert recovery == pytest.approx(8.0)
+
+
+def test_what_a_joining_robot_brings_later_is_not_waited_for() -> None:
+    """The robot's own task has no job in the model, and the tour of its second task begins after that of its first. To
+    merge the maps comes at the end: it waits for another task to complete, and what is told of it waits for it.
+    """
+    event = MissionEvent(name="in", at=22.0, join="rover2")
+    body = a_task("body", cpu=0.1, robots=["rover2"])
+    merge = a_task("merge", cpu=0.1, needs=[Need(task="t", until=NeedCondition.COMPLETED)])
+    tell = a_task("tell", cpu=0.1, needs=[Need(task="merge", until=NeedCondition.READY)])
+    tour = a_task("t", cpu=1.0, robots=["rover2"], needs=[Need(task="body", until=NeedCondition.READY)])
+    other = a_task("u", cpu=1.0)
+    jobs = (
+        *(SimJob(name=f"do-{task.name}", task=task.name, work=5.0) for task in (tell, merge)),
+        SimJob(name="drive", task="t", work=60.0),
+        SimJob(name="wait", task="u", work=150.0),
+    )
+    run = run_scenario(build_scenario((event,), jobs), tell, merge, tour, body, other)
+    ((record, recovery),) = measure_sim_recoveries(run, 10.0)
+    assert set(record.tasks) == {"t", "body"}
     assert recovery == pytest.approx(8.0)
 
 

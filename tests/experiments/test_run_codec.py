@@ -15,6 +15,7 @@ from edgectl.experiments.model.experiment import (
     ExperimentRun,
     HandoffRecord,
     HostCapacity,
+    LinkCapacity,
     LoadSample,
     MapPair,
     MetricAggregation,
@@ -27,6 +28,7 @@ from edgectl.experiments.model.mission_event import EventRecord
 from edgectl.experiments.model.schemes import Scheme
 from edgectl.formats.document import FormatErrors, dump_document
 from edgectl.model.inventory import Role
+from edgectl.model.snapshot import CapacitySource
 from tests.formats.strategies import names, policies
 from tests.formats.test_complete import POLICY
 from tests.formats.test_round_trip import bounded, json_values
@@ -38,6 +40,7 @@ TRIAL = Trial(
     loads={"edge1": (LoadSample(at=0.0, cores=0.5, memory=1e8, bytes_per_s=2000.0), LoadSample(at=5.0, cores=1.25, memory=2e8, bytes_per_s=0.0))},
     readings={"fps": {"slam": (MetricReading(at=5.0, value=-12.5),)}},
     ssim={"ssim": -0.25},
+    links={"edge1": {"robot1": (LinkCapacity(at=0.0, bytes_per_s=2e6, source=CapacitySource.DECLARED), LinkCapacity(at=5.0, bytes_per_s=191e3, source=CapacitySource.TCP))}},
     usage={"edge1": MissionUsage(cpu_s=1.25, memory=1e8, network_bytes=5000.0), "edge2": MissionUsage(cpu_s=0.5, memory=1e8)},
     events=(EventRecord(event="near", kind="link", subject="edge1-robot1", at=3.5, until=9.25, error="e", tasks=("t",)),),
 )  # fmt: skip
@@ -55,6 +58,7 @@ RUN = ExperimentRun(
 amounts = st.floats(min_value=0.0, max_value=1e12)
 values = st.floats(allow_nan=False, allow_infinity=False)
 loads = st.builds(LoadSample, at=amounts, cores=amounts, memory=amounts, bytes_per_s=amounts)
+capacities = st.builds(LinkCapacity, at=amounts, bytes_per_s=amounts, source=st.sampled_from(CapacitySource))
 readings = st.lists(st.builds(MetricReading, at=amounts, value=values), max_size=3).map(tuple)
 trials = st.builds(
     Trial,
@@ -77,6 +81,9 @@ trials = st.builds(
     loads=st.dictionaries(names, st.lists(loads, max_size=3).map(tuple), max_size=2),
     readings=st.dictionaries(names, st.dictionaries(names, readings, max_size=2), max_size=2),
     ssim=st.dictionaries(names, st.floats(-1.0, 1.0), max_size=2),
+    links=st.dictionaries(
+        names, st.dictionaries(names, st.lists(capacities, max_size=3).map(tuple), max_size=2), max_size=2
+    ),
 )
 experiments = st.builds(
     Experiment,

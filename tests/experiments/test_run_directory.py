@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.errors import FileError, StateError
+from edgectl.errors import FileError, StateError, UsageError
 from edgectl.experiments.files.run_directory import (
     find_newest_run,
     load_run,
@@ -86,7 +86,7 @@ def test_a_trial_under_another_s_name_is_damaged(tmp_path: Path) -> None:
 
 
 def test_what_is_no_run_is_said(tmp_path: Path) -> None:
-    with pytest.raises(FileError, match="no run in"):
+    with pytest.raises(UsageError, match="no run in"):
         load_run(tmp_path)
     assert load_run_to_resume(tmp_path / "new", print) is None
     assert load_run_to_resume(tmp_path, print) is None

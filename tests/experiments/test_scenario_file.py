@@ -8,7 +8,7 @@ import pytest
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.errors import InputError
 from edgectl.experiments.files.scenario_file import load_scenario, load_scenario_paths
-from edgectl.experiments.model.scenario import Scenario, SimJob
+from edgectl.experiments.model.scenario import Scenario, SimCycle, SimJob
 from edgectl.model.inventory import Inventory
 from edgectl.model.task import Tasks
 from tests.builders import a_robot, a_task, an_edge, an_inventory, some_tasks
@@ -80,6 +80,17 @@ def test_hosts_and_jobs_are_spelled_out(tmp_path: Path) -> None:
         ("spread: 10%", "spraed: 10%", "5:48", "unknown key spraed in a job"),
         ("jobs:\n", "jobs: 5\nrest:\n", "4:7", "jobs must be a mapping"),
         ("[99.8]", "99.8", "10:26", "must be a list"),
+        ("placed:", "cycles: 5\nplaced:", "8:9", "cycles must be a mapping"),
+        ("placed:", "cycles: {slam: {for_each: robot, rate: 5}}\nplaced:", "8:16", "a cycle needs cpu"),
+        ("placed:", "cycles: {slam: {rate: 5, cpu: 1ms}}\nplaced:", "8:10", "unknown task slam"),
+        (
+            "placed:",
+            "cycles: {merge: {rate: 5, cpu: 1ms, source: camera}}\nplaced:",
+            "8:45",
+            "unknown task camera",
+        ),
+        ("cpu: [99.8]", "cpu: [x]", "10:27", "must be a number"),
+        ("after: [check]}", "after: [check], senses: [slam-robot1]}", "7:60", "unknown task with cycles"),
     ],
 )
 def test_each_mistake_has_its_place(tmp_path: Path, old: str, new: str, place: str, words: str) -> None:
@@ -88,6 +99,22 @@ def test_each_mistake_has_its_place(tmp_path: Path, old: str, new: str, place: s
         read(tmp_path, GOOD.replace(old, new, 1))
     told = [(f"{problem.line}:{problem.column}", problem.message) for problem in caught.value.problems]
     assert any(at == place and words in message for at, message in told), told
+
+
+def test_cycles_are_those_of_each_robot(tmp_path: Path) -> None:
+    cycles = (
+        "cycles: {slam: {for_each: robot, rate: 5, cpu: 8ms, transfer: 64kB}, merge: {rate: 1, cpu: 1s}}\n"
+    )
+    text = GOOD.replace("placed:", f"{cycles}placed:").replace(
+        "after: [map]", "after: [map], senses: [slam], fresh: 2s"
+    )
+    found = read(tmp_path, text)
+    slam = SimCycle(rate=5.0, cpu=0.008, transfer=64e3)
+    assert found.cycles == {"slam-robot1": slam, "slam-robot2": slam, "merge": SimCycle(rate=1.0, cpu=1.0)}
+    assert [(job.senses, job.fresh) for job in found.jobs if job.name.startswith("check")] == [
+        (("slam-robot1",), 2.0),
+        (("slam-robot2",), 2.0),
+    ]
 
 
 @pytest.mark.parametrize("name", ["paper-1", "paper-2"])

@@ -91,7 +91,7 @@ def test_what_was_published_of_maps_stands_in_wide(run: Run) -> None:
 
 def test_a_directory_that_is_no_run_is_told_before_anything_is_computed(run: Run, tmp_path: Path) -> None:
     said = run("simulate", SCENARIO, "--against", str(tmp_path), "-n", "1000")
-    assert said.code == 1
+    assert said.code == 64
     assert said.out == ""
     assert "no run in" in said.err
 

@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables and documents of simulations and replays."""
 
+from dataclasses import replace
 from typing import Any
 
 from edgectl.experiments.model.comparison import (
     Estimate,
+    EventResult,
+    RecoveryResult,
     ReferenceValues,
     ReplayResult,
     SchemeResult,
     Utilisation,
 )
+from edgectl.experiments.model.mission_event import HostLoad, MissionEvent
 from edgectl.experiments.model.scenario import Scenario
 from edgectl.experiments.model.schemes import Scheme
 from edgectl.experiments.views.replay import ReplayView
@@ -61,6 +65,44 @@ def test_the_published_stands_below_the_model_with_the_deviation() -> None:
     assert "Latency as a share of local execution: utility all 0.75 (published 0.50).\n" in text
     assert "local: runs ended by the time limit: 1\n" in text
     assert text.endswith("- all is well\n")
+
+
+def test_a_host_that_is_lost_for_good_and_events_that_came_too_late_are_said() -> None:
+    gone = MissionEvent(name="off", at=9.0, lost="zinc")
+    back = MissionEvent(name="on-again", at=9.0, duration=3.0, lost="mint")
+    late = MissionEvent(name="late", at=900.0, load=HostLoad(host="mint", cpu=1.0))
+    nothing = RecoveryResult(count=5, not_recovered=0, recovery=None)
+    happened = EventResult(
+        event="off", kind="lost", subject="zinc", runs=5, failed=0, at=None, recoveries=nothing
+    )
+    again = replace(happened, event="on-again", runs=2)
+    results = [replace(each, events=(happened, again)) for each in FOUND]
+    scenario = replace(SCENARIO, events=(gone, back, late))
+    lines = (
+        SimulationView(scenario=scenario, results=results, reference=REAL)
+        .table(RenderOptions(width=300))
+        .splitlines()
+    )
+    assert (
+        "zinc stays lost, because event off has no for: its tasks wait for it unless they state on_unreachable: replace"
+        in lines
+    )
+    assert not any("mint stays lost" in line for line in lines)
+    missing = [line for line in lines if "did not happen" in line]
+    assert missing == [
+        "event on-again did not happen, since the mission ended first; runs: local 3 of 5, utility all 3 of 5",
+        "event late did not happen, since the mission ended first; runs: local 5 of 5, utility all 5 of 5",
+    ]
+    ended = SimulationView(scenario=scenario, results=results[1:], reference=REAL)
+    assert "stays lost" not in ended.table(RenderOptions(width=300)), "its tasks were done, or went elsewhere"
+    document: Any = ended.item()
+    (events,) = (scheme["mission_events"] for scheme in document["schemes"])
+    assert [(each["event_name"], each["run_count"], each["occurrences"]) for each in events] == [
+        ("off", 5, 5),
+        ("on-again", 2, 5),
+        ("late", 0, 0),
+    ]
+    assert events[2]["begin_s"] is None
 
 
 def test_wide_has_every_metric_and_its_deviation() -> None:

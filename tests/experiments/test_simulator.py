@@ -17,7 +17,7 @@ from edgectl.experiments.model.scenario import Scenario, SimHost, SimJob, SimLin
 from edgectl.experiments.model.schemes import Scheme
 from edgectl.experiments.scheme_results import compute_estimate, summarize_sim_runs
 from edgectl.experiments.simulator import simulate_mission
-from edgectl.experiments.simulator_state import compute_fair_shares
+from edgectl.experiments.simulator_speeds import compute_fair_shares
 from edgectl.model.inventory import Inventory
 from edgectl.model.policy import Policy, PolicyName, Weights
 from edgectl.model.task import Task, Tasks

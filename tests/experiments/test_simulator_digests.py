@@ -43,10 +43,10 @@ DIGESTS = {
         "paper all": "2dd62820e55b",
     },
     "patrol": {
-        "local": "39490dd77b2c",
-        "static": "455426a18934",
-        "utility all": "817bd8f3d5cb",
-        "paper all": "02bb7961fcf5",
+        "local": "7e94115e5c5b",
+        "static": "729b99113f62",
+        "utility all": "bb1a3726baf9",
+        "paper all": "39354d9f93a1",
     },
 }
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from multiprocessing import active_children
 from pathlib import Path
 
@@ -67,6 +68,15 @@ def spec(tmp_path: Path) -> Path:
 def write_spec(path: Path, runs: int = 1) -> Path:
     path.write_text(SPEC.format(scenario=SCENARIOS / "paper-2.yaml", runs=runs))
     return path
+
+
+def test_a_sweep_without_a_bound_says_why_it_names_no_fastest() -> None:
+    world = replace(WORLD, bounds=replace(WORLD.bounds, error=None))
+    sweep = replace(VIEW.sweep, worlds=(world,), bounds=world.bounds)
+    result = replace(RESULT, winner="")
+    text = replace(VIEW, sweep=sweep, results={WORLD.digest: result}).table()
+    assert "FASTEST: - everywhere, since the sweep file states no error" in text
+    assert "states no error" not in VIEW.table()
 
 
 def test_shards_make_the_same_bytes_as_one_run(run: Run, spec: Path, tmp_path: Path) -> None:

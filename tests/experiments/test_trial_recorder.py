@@ -21,7 +21,7 @@ from edgectl.model.plan import Action, Plan
 from edgectl.model.policy import Policy
 from edgectl.model.progress import ProgressEvent, ProgressStage
 from edgectl.model.result import ActionResult, Outcome, Phase, PhaseResult
-from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
+from edgectl.model.snapshot import CapacitySource, HostSample, Snapshot, TaskSample, TaskState
 from tests.builders import NOW, a_link, a_sample, silent
 
 
@@ -138,6 +138,30 @@ def test_readings_are_taken_while_a_task_runs_and_once_when_it_is_over() -> None
         MetricReading(at=5.0, value=12.0),
         MetricReading(at=8.0, value=14.0),
     )
+
+
+def test_what_links_carry_is_kept_whenever_it_changes() -> None:
+    """Of each link by its edge; a host that does not answer says nothing."""
+    recorder = TrialRecorder(["merge"])
+    slow = replace(a_link(2e5), capacity_source=CapacitySource.TCP)
+    fast = replace(a_link(2e6), capacity_source=CapacitySource.DECLARED)
+    for at, near, far in ((0.0, fast, fast), (2.0, fast, slow), (4.0, fast, slow), (8.0, slow, fast)):
+        zinc, alder = a_sample(links={"rover2": near, "rover1": far}), a_sample(links={"rover2": far})
+        recorder.record_cycle(a_cycle(at, {}, zinc=zinc, alder=alder if at < 8 else silent()))
+    links = record(recorder).links
+    assert {edge: set(found) for edge, found in links.items()} == {
+        "zinc": {"rover2", "rover1"},
+        "alder": {"rover2"},
+    }
+    points = {
+        pair: [(each.at, each.bytes_per_s, each.source.value) for each in links[pair[0]][pair[1]]]
+        for pair in (("zinc", "rover2"), ("zinc", "rover1"), ("alder", "rover2"))
+    }
+    assert points == {
+        ("zinc", "rover2"): [(0.0, 2e6, "declared"), (8.0, 2e5, "tcp")],
+        ("zinc", "rover1"): [(0.0, 2e6, "declared"), (2.0, 2e5, "tcp"), (8.0, 2e6, "declared")],
+        ("alder", "rover2"): [(0.0, 2e6, "declared"), (2.0, 2e5, "tcp")],
+    }
 
 
 def test_latency_of_a_trial_is_that_of_all_instances_of_a_task() -> None:

@@ -7,7 +7,7 @@ from edgectl.agent.link import sketch
 from edgectl.executor.diff import plan_from_assignment
 from edgectl.export.metric_samples import MetricsInput
 from edgectl.model.latency import LatencySample
-from edgectl.model.manager_state import ManagerState, Placement
+from edgectl.model.manager_state import ManagerState, Pin, Placement
 from edgectl.model.plan import Action
 from edgectl.model.resource import Usage
 from edgectl.model.result import ActionResult, Outcome
@@ -43,7 +43,7 @@ LINK = LinkSample(capacity_bytes_per_s=6e6, used_bytes_per_s=3e5, rtt_ms=4.0)
 
 def a_metrics_input(*revisions: Revision) -> MetricsInput:
     """edge1 runs slam; edge2 is unreachable and ran map; edge3 is idle; big fits nowhere; camera is pinned to
-    edge1, which is cordoned.
+    edge1, which is cordoned, by its file, and to edge3 by an operator.
     """
     inventory = an_inventory(
         an_edge("edge1"), an_edge("edge2"), an_edge("edge3"), a_robot("robot1", probe=False)
@@ -74,6 +74,7 @@ def a_metrics_input(*revisions: Revision) -> MetricsInput:
         fenced=frozenset(),
         done={"job": "hash-job"},
         contact={"edge1": NOW, "edge2": NOW - 60.0},
+        pins={"camera": Pin(host="edge3", since=NOW)},
     )
     idle = a_sample(links={"robot1": LINK}, standbys={"slam": a_run(spec_hash="hash-slam")})
     snapshot = a_snapshot(memory=memory, edge1=edge, edge2=silent(), edge3=idle)

@@ -114,6 +114,8 @@ def test_runs_and_decisions(page: dict[str, float]) -> None:
     assert page["edgectl_plan_actions{action=unplaced}"] == 2.0
     assert page["edgectl_plan_actions{action=start}"] == 0.0
     assert page["edgectl_plan_settled"] == 1.0
+    pinned = {name: value for name, value in page.items() if name.startswith("edgectl_task_pinned")}
+    assert pinned == {"edgectl_task_pinned{host=edge3,task=camera}": 0.0}, "its file keeps it off edge3"
 
 
 def test_latency_is_a_histogram_of_all_values_and_percentiles_of_the_recent(page: dict[str, float]) -> None:
@@ -247,11 +249,13 @@ def test_there_are_no_more_series_than_the_page_of_the_docs_says() -> None:
     hosts, links, tasks, runs, said_of_themselves = len(seen.snapshot.hosts), 2, len(seen.plan.steps), 1, 2
     said = PAGE.read_text()
     assert re.search(
-        r"at most 14 series\s+per host, 3 per link, 12 per task and 6 more for each host on which it runs, and 60 others",
+        r"at most 14 series\s+per host, 3 per link, 12 per task \(13 if it is pinned\) and 6 more for each host on which it runs, and 60 others",
         said,
     )
     assert "19 where a latency is measured" in said
-    assert len(lines) <= 14 * hosts + 3 * links + 12 * tasks + (6 + 19) * runs + 60 + said_of_themselves
+    assert (
+        len(lines) <= 14 * hosts + 3 * links + 12 * tasks + (6 + 19) * runs + 60 + said_of_themselves + 2
+    )  # pins
 
 
 def test_the_list_of_the_docs_is_current() -> None:

@@ -29,7 +29,7 @@ def main() -> int:
         "--points",
         type=int,
         default=None,
-        help="kills of the manager per kind of command (default: at every point)",
+        help="kills of the manager per kind of command (default: at every point; -20: at the last twenty)",
     )
     parser.add_argument(
         "--jobs", type=int, default=2, help="faults injected in parallel, each on its own hosts"

@@ -35,6 +35,24 @@ class CpuGroup:
             if (directory / "cpu.max").exists():
                 (directory / "cpu.max").write_text(f"{quota} {PERIOD_US}\n")
 
+    def prefer(self) -> None:
+        """Let its processes come before those of other groups where they compete."""
+        for directory in self.directories:
+            for name, most in (("cpu.shares", 262144), ("cpu.weight", 10000)):
+                if (directory / name).exists():
+                    (directory / name).write_text(f"{most}\n")
+
+    def read_cpu_s(self) -> float:
+        """Return the CPU seconds of all processes that were ever in it; 0 where they are not counted."""
+        for directory in self.directories:
+            if (directory / "cpuacct.usage").exists():
+                return int((directory / "cpuacct.usage").read_text()) / 1e9
+            if (directory / "cpu.stat").exists():
+                stat = dict(line.split() for line in (directory / "cpu.stat").read_text().splitlines())
+                if "usage_usec" in stat:
+                    return int(stat["usage_usec"]) / 1e6
+        return 0.0
+
     def remove(self) -> None:
         """Remove the cgroup; its processes must end within 5 s."""
         deadline = time.monotonic() + patience(5)

@@ -3,6 +3,7 @@
 
 from tests.faults import (
     faults_etcd,
+    faults_etcd_members,
     faults_failover,
     faults_failpoints,
     faults_host,
@@ -27,6 +28,7 @@ MODULES = (
     faults_manager,
     faults_two_managers,
     faults_etcd,
+    faults_etcd_members,
     faults_ownership,
     faults_task,
     faults_noise,

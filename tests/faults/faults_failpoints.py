@@ -47,10 +47,12 @@ def count_failpoints(fleet: FaultFleet, turn: Change, number: int) -> int:
 
 def choose_failpoints(fleet: FaultFleet, count: int) -> list[int]:
     """Choose the failpoints at which to kill."""
-    every = range(1, count + 1)
-    return (
-        list(every) if fleet.points is None else sorted(fleet.random.sample(every, min(fleet.points, count)))
-    )
+    every = list(range(1, count + 1))
+    if fleet.points is None:
+        return every
+    if fleet.points < 0:
+        return every[fleet.points :]
+    return sorted(fleet.random.sample(every, min(fleet.points, count)))
 
 
 def kill_at_failpoint(fleet: FaultFleet, words: tuple[str, ...], at: int) -> None:

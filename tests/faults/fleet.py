@@ -44,7 +44,8 @@ class EdgectlVariant:
     """Variant of edgectl under test.
 
     ``code``: directory of another edgectl package; ``connection``: how it reaches the hosts; ``sample``: one round
-    of a fault that has several; ``points``: kill at so many random failpoints of a command (None: at all of them).
+    of a fault that has several; ``points``: kill at so many random failpoints of a command (None: at all of them; below
+    0: at so many of the last).
     """
 
     code: Path | None = None

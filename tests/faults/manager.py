@@ -47,7 +47,7 @@ class Manager:
             text = re.sub(rf"(Host {host}\n  HostName )\S+\n  Port \d+", r"\g<1>127.0.0.1\n  Port 1", text)
         (self.fleet.directory / f"ssh_config-{self.name}").write_text(text)
 
-    def start(self, *words: str) -> "subprocess.Popen[str]":
+    def start(self, *words: str, **more: str) -> "subprocess.Popen[str]":
         fleet, own = self.fleet, self.fleet.directory / f"ssh_config-{self.name}"
         files = {str(fleet.directory / "tasks.yaml"): str(self.tasks)}
         if self.own_fleet or self.lacks:
@@ -60,6 +60,7 @@ class Manager:
             LOGNAME=self.name,
             USER=self.name,
             **({"EDGECTL_SSH_CONFIG": str(own)} if own.exists() else {}),
+            **more,
         )
         return fleet.start_command(command, env)
 

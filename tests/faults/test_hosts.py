@@ -21,6 +21,8 @@ from tests.faults.namespace_host import (
 from tests.faults.network import ManagerNetwork
 from tests.pace import patience
 
+ROOT = Path(__file__).parents[2]
+
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, ManagerNetwork, NamespaceHost]]:
@@ -231,3 +233,35 @@ def test_a_loopback_host(tmp_path: Path) -> None:
 
 def test_no_group_where_no_limit_is_wanted() -> None:
     assert cgroup.create_cgroup("edgectl-faults-none", None).procs_files == []
+
+
+AT_ONCE = """
+import sys, threading
+from pathlib import Path
+from tests.compiled_agent import give_agent
+
+sys.setswitchinterval(1e-6)
+together, failed = threading.Barrier(4), []
+
+def give(name):
+    together.wait()
+    try:
+        give_agent(Path(sys.argv[1]) / name)
+    except OSError as error:
+        failed.append(error)
+
+threads = [threading.Thread(target=give, args=(name,)) for name in "dcba"]
+for each in threads:
+    each.start()
+for each in threads:
+    each.join()
+sys.exit(str(failed) if failed else 0)
+"""
+
+
+def test_fleets_that_start_at_once_share_one_agent(tmp_path: Path) -> None:
+    """`--jobs 2` begins with two threads; each made the folder of the agent, and one was removed under the other."""
+    words = [sys.executable, "-c", AT_ONCE, str(tmp_path)]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False, timeout=patience(20))
+    assert not done.returncode, done.stderr
+    assert len(list(tmp_path.glob("[abcd]/agent/*.pyz"))) == 4

@@ -47,6 +47,7 @@ from edgectl.model.snapshot import (
     Snapshot,
     TaskSample,
     TaskState,
+    TermRatings,
     TrafficSource,
     UsageTotals,
 )
@@ -114,12 +115,13 @@ MANAGER = ManagerState(
     deferred={"t": "d"}, measured={("t", "4c-8Gi"): MEASURED}, orphans={"h": ("t",)}, synced={"h": 4},
     noise={"h": {"cpu": 0.25}}, pins={"t": PIN},
 )  # fmt: skip
-SNAPSHOT = Snapshot(taken_at=1.5, hosts={"h": HOST}, manager=MANAGER)
+RATINGS = TermRatings(package="p 1", tasks={"t": {"h": 0.25}})
+SNAPSHOT = Snapshot(taken_at=1.5, hosts={"h": HOST}, manager=MANAGER, ratings={"r": RATINGS})
 WEIGHTS = Weights({name: 0.1 * place for place, name in enumerate(TERM_NAMES, 1)})
 POLICY = Policy(
     name=PolicyName.PAPER, weights=WEIGHTS, sequence=SequenceRule.SENSITIVITY, move_margin=0.2, min_dwell=3.0, max_moves=None, attended=False,
     best_effort=True, full=True, without=frozenset({"h"}), prune=True, rebalance=True, optimal=True,
-    prefer=Preference.PACK, seed=7,
+    prefer=Preference.PACK, seed=7, terms=("r",),
 )  # fmt: skip
 REJECTION = Rejection(
     rule=RejectionRule.INSUFFICIENT,
@@ -186,7 +188,7 @@ PLAN = Plan(
     shortages=(SHORTAGE,), certificate=CERTIFICATE,
 )  # fmt: skip
 VALUES = [
-    LINK, LATENCY, TASK, INTERFACE, DEVICE, CPU_USE, MEMORY_USE, HOST, PLACEMENT, PIN, OPERATOR_PIN, MANAGER, SNAPSHOT, WEIGHTS, POLICY, REJECTION, TERMS, PREDICTED, RANKED, COST, DECISION,
+    LINK, LATENCY, TASK, INTERFACE, DEVICE, CPU_USE, MEMORY_USE, HOST, PLACEMENT, PIN, OPERATOR_PIN, MANAGER, RATINGS, SNAPSHOT, WEIGHTS, POLICY, REJECTION, TERMS, PREDICTED, RANKED, COST, DECISION,
     STANDBY, STEP, EXPECTED, PLAN, MEASURED, RHO, UNEVEN, OTHER, OVERUSE, SHORTAGE, CERTIFICATE,
 ]  # fmt: skip
 

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import NormalDist
 
 from edgectl.model.policy import Policy
 from edgectl.model.predicted_latency import JobSize, PredictedLatency, ServiceTime
@@ -34,6 +35,7 @@ _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 _SHARES = Path("/sys/fs/cgroup/cpu")
 # Weight of the measured processes against all others on this machine: 256 to 1.
 _WEIGHT = 262_144
+_Z975 = NormalDist().inv_cdf(0.975)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +78,13 @@ class Measured:
 
     def percentile_ms(self, share: float) -> float:
         return 1000.0 * compute_percentile(self.latencies, share)
+
+    def bound_percentile_ms(self, share: float) -> tuple[float, float]:
+        """The interval that holds the percentile with 95 % confidence: order statistics of independent jobs."""
+        count = len(self.latencies)
+        reach = _Z975 * (count * share * (1.0 - share)) ** 0.5
+        ranks = (max(0, int(count * share - reach)), min(count - 1, int(count * share + reach)))
+        return 1000.0 * self.latencies[ranks[0]], 1000.0 * self.latencies[ranks[1]]
 
     def count_misses(self, deadline: float) -> int:
         return sum(latency > deadline for latency in self.latencies)
@@ -195,8 +204,12 @@ def make_benches(count: int) -> Iterator[list[Bench]]:
 
 def measure_service(bench: Bench, frame: Frame, *, jobs: int = 40) -> ServiceTime:
     """Measure the service time of a frame on the idle host, over the link as it is shaped."""
-    found = bench.measure(frame, 0.0, 1.0, jobs=jobs, think=0.03)
-    p50, p95 = (compute_percentile(found.services, share) for share in (0.50, 0.95))
+    return compute_service(bench.measure(frame, 0.0, 1.0, jobs=jobs, think=0.03).services)
+
+
+def compute_service(services: Sequence[float]) -> ServiceTime:
+    """The service time as `edgectl profile` states it, of sorted times on an idle host."""
+    p50, p95 = (compute_percentile(services, share) for share in (0.50, 0.95))
     return ServiceTime(p50=p50, p95=p95)
 
 

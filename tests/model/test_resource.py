@@ -14,6 +14,7 @@ from edgectl.model.resource import (
     AFFINITY,
     HOST_RESOURCES,
     LATENCY,
+    RATING,
     RESOURCES,
     RESOURCES_BY_NAME,
     TERMS,
@@ -50,7 +51,7 @@ def test_a_map_is_copied_pickled_and_hashed_by_value() -> None:
     assert hash(Demand(cpu=Quantity(value=1.0))) == hash(demand)
 
 
-def test_the_terms_are_the_resources_the_affinity_and_the_latency() -> None:
-    assert (*(resource.name for resource in RESOURCES), AFFINITY, LATENCY) == TERMS
+def test_the_terms_are_the_resources_the_affinity_the_latency_and_the_rating() -> None:
+    assert (*(resource.name for resource in RESOURCES), AFFINITY, LATENCY, RATING) == TERMS
     assert WEIGHT_PRESETS.keys() == {*TERMS, "all", "resources"}
     assert WEIGHT_PRESETS["all"] == Weights()

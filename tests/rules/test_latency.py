@@ -2,20 +2,18 @@
 """The model of latency: its closed forms at known points, and against simulated jobs on shared cores."""
 
 from itertools import pairwise
-from math import exp, inf
+from math import exp, inf, log
 from random import Random
 
 import pytest
 
 from edgectl.model.predicted_latency import PredictedLatency, ServiceTime
-from edgectl.rules.latency import (
+from edgectl.rules.latency import HostLoad, LinkLoad, estimate_latency
+from edgectl.rules.waiting import (
     MAX_LOAD,
-    HostLoad,
-    LinkLoad,
     compute_busy_probability,
     compute_waiting,
     compute_waiting_quantile,
-    estimate_latency,
 )
 
 STEADY = ServiceTime(p50=0.030, p95=0.030)
@@ -107,6 +105,15 @@ def test_an_idle_host_takes_the_service_time_and_its_spread() -> None:
     assert [found.p50_ms, found.p95_ms, found.waiting_ms] == pytest.approx([30.0, 36.0, 0.0])
     assert found.low_ms == pytest.approx(0.9 * 25.0)
     assert found.high_ms == pytest.approx(1.1 * 36.0)
+
+
+def test_a_longer_job_waits_longer() -> None:
+    """Its length and its slowdown are factors: 50 % at p95, and of the others' work the same share of both."""
+    steady, uneven = (estimate(1, 0.5, service=ServiceTime(p50=0.030, p95=p95)) for p95 in (0.030, 0.045))
+    slower = steady.p95_ms / 30.0
+    assert uneven.p50_ms == pytest.approx(steady.p50_ms)
+    assert uneven.p95_ms == pytest.approx(30.0 * exp((log(slower) ** 2 + log(1.5) ** 2) ** 0.5))
+    assert steady.p95_ms < uneven.p95_ms < 1.5 * steady.p95_ms
 
 
 def test_the_parts_of_the_way_add_up() -> None:

@@ -12,10 +12,12 @@ from edgectl.model.snapshot import CapacitySource, InterfaceSample, LinkSample, 
 from edgectl.rules.link_turns import LinkUse, choose_links_to_probe, find_link_use, split_into_rounds
 from edgectl.rules.live_links import (
     BUDGET_S,
+    FRESH_S,
     MAX_SAMPLES,
     add_sample,
     apply_live_capacities,
     compute_live_link,
+    forget_former_readings,
     observe_link,
 )
 from tests.builders import a_robot, a_run, a_sample, a_snapshot, an_edge, an_inventory
@@ -185,6 +187,44 @@ def test_traffic_that_stays_below_a_fall_confirms_it(used: float, counts: float)
         known = observe_link(known, seen, now, 2e6)
     known = observe_link(known, LinkObservation(used_bytes_per_s=used), 3.0, 2e6)
     assert compute_live_link(NOMINAL, known, None, 3.0).capacity_bytes_per_s == counts
+
+
+def test_a_fall_that_bursts_show_counts_at_once() -> None:
+    """Of a connection that sends all the time, and of a rise, the mean with the reading before counts."""
+
+    def read(*rates: tuple[float, float]) -> float:
+        known = LinkHistory()
+        for now, (used, carries) in enumerate(rates, start=1):
+            seen = LinkObservation(used_bytes_per_s=used, carries_bytes_per_s=carries)
+            known = observe_link(known, seen, float(now), 2e6)
+        return compute_live_link(NOMINAL, known, None, float(len(rates))).capacity_bytes_per_s
+
+    assert read((0.3e6, 1.7e6), (0.15e6, 0.2e6)) == 0.2e6
+    assert read((0.3e6, 1.7e6), (0.2e6, 0.2e6)) == 0.95e6
+    assert read((0.3e6, 1.7e6), (0.3e6, 0.2e6)) == 0.95e6, "the traffic says that it carries more"
+    assert read((0.3e6, 1.7e6), (0.3e6, 1.3e6)) == 1.5e6, "no fall"
+    assert read((0.15e6, 0.2e6), (0.3e6, 1.2e6)) == 0.7e6, "a rise"
+
+
+def test_a_fall_makes_older_readings_of_other_links_of_the_robot_void() -> None:
+    """It is somewhere else now. Readings of other robots stay, and those that were taken on the way."""
+    far = at(NOW - FRESH_S - 1.0, rates=(2e5, 2e5))
+    known = dict.fromkeys(PAIRS, far)
+    known["edge1", "robot1"] = replace(at(NOW - 50.0, fell=NOW, rates=(2e5,)), fell_at=NOW)
+    known["edge3", "robot1"] = at(NOW - FRESH_S + 1.0, rates=(2e5,))
+    found = forget_former_readings(known, NOW)
+    assert found["edge2", "robot1"] == replace(far, readings=())
+    assert {pair for pair in PAIRS if found[pair] != known[pair]} == {("edge2", "robot1")}
+    assert forget_former_readings(known, NOW + 2.0) == known, "once"
+
+
+def test_links_that_were_read_just_before_a_fall_are_not_probed_for_it() -> None:
+    """The robot's tasks have moved from a bad link to a worse one; of the one they left there is a reading."""
+    fell = at(NOW - 100.0, fell=NOW - 1.0, rates=(2e5,))
+    left = at(NOW - FRESH_S, rates=(2e5,))
+    assert of_robot1(choose({("edge1", "robot1"): fell, ("edge2", "robot1"): left}, ON_EDGE1)) == {
+        ("edge3", "robot1")
+    }
 
 
 def test_a_robot_that_is_cut_off_counts_as_fallen() -> None:

@@ -1,6 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The scan in NumPy against the one in Python: the same decisions and rankings, bit by bit."""
 
+import sys
+from collections import Counter
+from collections.abc import Callable
+from types import FrameType
+
 import pytest
 from hypothesis import given, settings
 
@@ -47,11 +52,43 @@ def test_both_scans_decide_the_same_on_the_fleet_of_the_benchmark(measured: bool
     assert [digest_decisions(each) for each in (plain, found)] == [DIGESTS[40, 120, measured]] * 2
 
 
+def count_calls(run: Callable[[], object]) -> Counter[str]:
+    """How often each function is called, by name."""
+    found: Counter[str] = Counter()
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        if event == "call":
+            found[frame.f_code.co_name] += 1
+
+    before = sys.getprofile()
+    sys.setprofile(note)
+    try:
+        run()
+    finally:
+        sys.setprofile(before)
+    return found
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_a_large_plan_weighs_few_tasks_in_full(measured: bool) -> None:
+    inventory, tasks, snapshot = build_fleet(20, 240)
+    memory = NO_MEMORY
+    if measured:
+        tasks, memory = add_measured_demand(tasks)
+    fleet = TightFleet(inventory=inventory, tasks=tasks, snapshot=snapshot, memory=memory)
+    found = count_calls(lambda: assign_with_arrays(fleet))
+    assert found["_start_task"] == 240
+    # The others tie, or nearly.
+    assert found["weigh_candidates"] <= 24
+    assert found["run_pass"] == 1, "bounds show that the repetition changes nothing"
+    assert found["resolve_demand"] <= 24, "of nearly all tasks only numbers are asked for"
+
+
 @pytest.mark.parametrize("seed", range(80))
 def test_both_scans_find_the_same_totals(seed: int) -> None:
     view = a_view(seed)
     context, ledger = view.context, view.ledger.copy()
-    scan = build_array_scan(context.fleet, context.policy.weights)
+    scan = build_array_scan(context.fleet, context.policy.weights, [view.task.name])
     scan.mirror(ledger)
     far = context.policy.weights["task"] * view.utilities.get(-len(view.located), 0.0)
     totals = list(scan.compute_totals(ledger.mirror, view.task, offset=far))

@@ -12,10 +12,13 @@ from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState, Pin, Placement
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy, PolicyName
+from edgectl.model.predicted_latency import ServiceTime
 from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostSample, Snapshot
 from edgectl.model.standby_plan import StandbyAction
 from edgectl.model.task import Task
+from edgectl.scheduler.assign import assign
+from edgectl.solver.highs import make_solver
 from edgectl.views.reasons import describe_reason
 from tests.builders import (
     GI,
@@ -349,3 +352,74 @@ def test_a_pinned_host_must_have_room_for_all_that_go_together() -> None:
     found = decide_all(zed, ant, zed="edge3")
     assert found == {"zed": ("edge2", RejectionRule.INSUFFICIENT), "ant": ("edge2", None)}
     assert decide_all(zed, ant, zed="edge2") == {"zed": ("edge2", None), "ant": ("edge2", None)}
+
+
+@pytest.mark.parametrize("names", ["here", "there"])
+def test_a_task_that_must_be_apart_leaves_the_pinned_host(names: str) -> None:
+    """It would be in the way for as long as it runs; whoever of the two states the rule."""
+    zed = a_task("zed", cpu=1.0, apart=("ant",) if names == "here" else ())
+    ant = a_task("ant", cpu=1.0, apart=("zed",) if names == "there" else ())
+    for running in ({"ant": "edge3", "zed": "edge2"}, {"ant": "edge3"}, {}):
+        found = decide_all(zed, ant, running=running, zed="edge3")
+        assert found["zed"] == ("edge3", None)
+        assert found["ant"][0] in ("edge1", "edge2")
+
+
+def test_why_a_task_leaves_the_pinned_host_and_with_whom() -> None:
+    zed, ant = a_task("zed", cpu=1.0, apart=("ant",)), a_task("ant", cpu=1.0)
+    mate = a_task("mate", cpu=0.5, together=("ant",))
+    given, snapshot = some_tasks(zed, ant, mate), look({"ant": "edge3", "mate": "edge3", "zed": "edge1"})
+    manager = ManagerState(managed=True, pins={"zed": Pin(host="edge3", since=NOW - 60.0)})
+    # Neither its dwell nor max_moves keeps it there: they are about moves for a gain.
+    policy = Policy(min_dwell=1e9, max_moves=0, attended=False)
+    assignment = run_assign(FLEET, given, snapshot, memory=manager, policy=policy)
+    steps = {step.task: step for step in diff_assignment(assignment, given, snapshot, manager)}
+    assert hosts_by_task(assignment)["zed"] == "edge3"
+    assert hosts_by_task(assignment)["ant"] == hosts_by_task(assignment)["mate"] != "edge3"
+    assert describe_reason(steps["ant"]) == "move: made room for zed"
+
+
+def test_a_task_that_can_go_nowhere_else_stays_and_the_pinned_one_names_it() -> None:
+    zed, ant = a_task("zed", cpu=1.0, apart=("ant",)), a_task("ant", cpu=1.0, only=["edge3"])
+    given, snapshot = some_tasks(zed, ant), look({"ant": "edge3"})
+    manager = ManagerState(managed=True, pins={"zed": Pin(host="edge3", since=NOW - 60.0)})
+    assignment = run_assign(FLEET, given, snapshot, memory=manager, policy=Policy(min_dwell=0.0))
+    steps = {step.task: step for step in diff_assignment(assignment, given, snapshot, manager)}
+    assert hosts_by_task(assignment) == {"ant": "edge3", "zed": None}
+    assert "1 with a task that it is apart from" in describe_reason(steps["zed"])
+
+
+def test_a_pin_to_a_host_that_never_keeps_the_hard_deadline_is_set_aside() -> None:
+    slow = {"1c-16Gi": ServiceTime(p50=0.5, p95=0.6), "": ServiceTime(p50=0.01, p95=0.02)}
+    for hard, aside, host in ((True, RejectionRule.DEADLINE_MISSED, "edge3"), (False, None, "edge2")):
+        task = a_task("slam", cpu=0.5, deadline=0.1, hard_deadline=hard, service_time=slow)
+        found, words = decide(look(edge2=a_sample(cores=1.0, memory=16 * GI)), task)
+        assert found.pin is not None
+        assert (found.pin.set_aside, found.host) == (aside, host), words
+    assert "; its pin does not count: edge2 is too slow for its hard deadline" in words or not hard
+
+
+@pytest.mark.parametrize("optimal", [False, True])
+def test_a_single_full_host_neither_loses_nor_doubles_what_is_pinned_there(optimal: bool) -> None:
+    """One edge, as full as it can be: what runs stays, what is new waits, and both say what is short."""
+    alone = an_inventory(an_edge("edge1"))
+    tasks = some_tasks(a_task("zed", cpu=2.0), a_task("ant", cpu=2.0), a_task("new", cpu=1.0))
+    runs = {name: replace(a_run(spec_hash=f"hash-{name}"), used=Usage(cpu=2.0)) for name in ("zed", "ant")}
+    snapshot = a_snapshot(edge1=a_sample(used=4.0, tasks=runs))
+    for pins in ({}, {"zed": "edge1"}, {"new": "edge1"}, {"zed": "edge1", "ant": "edge1", "new": "edge1"}):
+        manager = ManagerState(
+            managed=True, pins={name: Pin(host=host, since=NOW - 9.0) for name, host in pins.items()}
+        )
+        policy = Policy(min_dwell=0.0, optimal=optimal)
+        solve = make_solver() if optimal else None
+        found = assign(alone, tasks, snapshot, manager, policy, NOW, solve)
+        assert hosts_by_task(found) == {"zed": "edge1", "ant": "edge1", "new": None}
+        steps = {step.task: step for step in diff_assignment(found, tasks, snapshot, manager)}
+        assert {name: steps[name].action for name in runs} == dict.fromkeys(runs, Action.KEEP)
+        assert "0/1 hosts fit: 1 short of cpu" in describe_reason(steps["new"])
+    drained = replace(manager, cordons=frozenset({"edge1"}), draining=frozenset({"edge1"}))
+    found = assign(alone, tasks, snapshot, drained, policy, NOW, make_solver() if optimal else None)
+    assert hosts_by_task(found)["new"] is None
+    assert {decision.pin.set_aside for decision in found.decisions if decision.pin} == {
+        RejectionRule.CORDONED
+    }

@@ -10,6 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from edgectl.model.assignment import Assignment, Reason
+from edgectl.model.manager_state import Pin
 from edgectl.model.policy import Policy, Preference
 from edgectl.model.resource import Usage
 from edgectl.model.snapshot import TaskState
@@ -290,3 +291,32 @@ def test_a_unit_that_must_make_room_is_no_limit_of_the_bounds() -> None:
     assert hosts_by_task(found) == {"a": "edge2", "b": "edge2", "big": "edge1"}
     certificate = get_certificate(found)
     assert (certificate.moves, certificate.moves_bound) == (2, 2)
+
+
+@few
+@given(seeds, st.floats(0.4, 0.9), st.integers(0, 3), st.sampled_from(["rebalance", "optimal"]))
+def test_searches_leave_pinned_tasks_at_their_pins_and_break_no_rule_for_them(
+    seed: int, fill: float, newcomers: int, way: str
+) -> None:
+    """Pins of operators on a third of the tasks; the plain plan says which of them can be followed now."""
+    dice = Random(seed)
+    fleet = add_random_rules(build_random_fleet(4, 12, seed, fill), seed)
+    assume(is_consistent(fleet.tasks.tasks))
+    fleet = replace(fleet, policy=Policy(min_dwell=0.0, move_margin=0.0))
+    if newcomers:
+        fleet = run_some(fleet, newcomers)
+    hosts = sorted(fleet.inventory.hosts)
+    pins = {
+        name: Pin(host=dice.choice(hosts), since=NOW - 60.0 - turn)
+        for turn, name in enumerate(dice.sample(sorted(fleet.tasks.tasks), 4))
+    }
+    fleet = replace(fleet, memory=replace(fleet.memory, pins=pins))
+    plain, found = fleet.assign(), improve(fleet, way)
+    tasks = list(fleet.tasks.tasks.values())
+    assume(not list_broken_rules(tasks, hosts_by_task(plain), 4))
+    assert not list_broken_rules(tasks, hosts_by_task(found), 4)
+    assert count_unplaced(found) <= count_unplaced(plain)
+    for before, after in zip(plain.decisions, found.decisions, strict=True):
+        assert before.pin == after.pin, "a search decides no pin"
+        if before.pin is not None and before.pin.set_aside is None and before.host == before.pin.host:
+            assert after.host == before.host, before

@@ -42,8 +42,11 @@ for number in range(count):
 def start_writer(
     directory: Path, name: str, count: int, limit: Callable[[], None] | None = None
 ) -> subprocess.Popen[str]:
-    """Start a process that records ``count`` snapshots, and prints the number of each once it is recorded."""
-    words = [sys.executable, "-c", WRITER, str(directory), name, str(count)]
+    """Start a process that records ``count`` snapshots, and prints the number of each once it is recorded.
+
+    -B: under a limit of the size of files Python would leave a part of what it compiles as the whole.
+    """
+    words = [sys.executable, "-B", "-c", WRITER, str(directory), name, str(count)]
     return subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, text=True, preexec_fn=limit)
 
 

@@ -40,6 +40,25 @@ while peer.recv(65536):
     pass
 """
 
+_GIVE = """
+import socket
+server = socket.create_server(("0.0.0.0", 5003))
+print("listening", flush=True)
+peer, _ = server.accept()
+while peer.recv(1):
+    peer.sendall(bytes(77000))
+"""
+_ASK = """
+import socket, time
+peer = socket.create_connection(({address!r}, 5003))
+while True:
+    began, left = time.monotonic(), 77000
+    peer.sendall(b"x")
+    while left:
+        left -= len(peer.recv(left))
+    time.sleep(max(0.15, began + 0.2 - time.monotonic()))
+"""
+
 
 def find_missing() -> str:
     """Why there can be no such network here; empty if there can."""
@@ -116,6 +135,23 @@ class ShapedNetwork(LocalTransport):
             server.stdout.readline()
             with self._run(sender, _SEND.format(address=self.addresses[receiver])):
                 yield
+
+    @contextmanager
+    def pictures(self, sender: str, receiver: str) -> Iterator[None]:
+        """A connection over which ``receiver`` asks for 77 kB, works on it for 0.15 s, and asks again, 5 times a second.
+
+        It sends frames and no packets of 64 kB, as if a real cable were between the two.
+        """
+        frames = f"link set {sender} gso_max_segs 1"
+        run_ip(*frames.split(), netns=self.spaces[sender])
+        try:
+            with self._run(sender, _GIVE) as server:
+                assert server.stdout is not None
+                server.stdout.readline()
+                with self._run(receiver, _ASK.format(address=self.addresses[sender])):
+                    yield
+        finally:
+            run_ip(*frames.replace(" 1", " 65535").split(), netns=self.spaces[sender])
 
     @contextmanager
     def udp(self, sender: str, receiver: str) -> Iterator[None]:

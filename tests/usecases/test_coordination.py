@@ -353,3 +353,52 @@ def test_an_apply_that_changes_nothing_leaves_the_state_in_etcd_as_it_is(
     apply(site.manager("ben"))
     after = etcd_lease.read_fleet_keys(client, site.inventory.fleet)
     assert (after.state_revision, after.holder) == (before.state_revision, None)
+
+
+def test_pins_that_two_managers_set_at_once_are_all_kept_or_refused(site: Site) -> None:
+    """Each with a home of its own, one after the other through etcd: none overwrites what the other has written."""
+    apply(site.manager("ana"))
+    there = {task: "edge2" if host == "edge1" else "edge1" for task, host in site.hosts.placed.items()}
+    refused: dict[str, BaseException] = {}
+
+    def act(name: str, task: str) -> None:
+        end = time.monotonic() + patience(30)
+        while time.monotonic() < end:
+            try:
+                pin_task(site.manager(name), Policy(), task, there[task], duration=3600.0)
+            except LockBusyError as error:
+                refused[task] = error
+                time.sleep(0.02)
+            else:
+                refused.pop(task, None)
+                return
+
+    threads = [threading.Thread(target=act, args=given) for given in (("ben", "t1"), ("ana", "t0"))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert refused == {}
+    for name in ("ben", "ana", "eve"):
+        plan = make_plan(site.manager(name), Policy())
+        pins = {step.task: step.decision.pin for step in plan.steps}
+        assert {task: pin.host for task, pin in pins.items() if pin is not None} == there, name
+    apply(site.manager("eve"))
+    assert site.hosts.placed == there
+    assert unpin_tasks(site.manager("ana"), ["t1"]) == {"t1": True}
+    assert unpin_tasks(site.manager("ben"), ["t1", "t0"]) == {"t1": False, "t0": True}
+
+
+def test_a_pin_is_refused_while_etcd_does_not_answer(tmp_path: Path) -> None:
+    """Neither a mark that only this machine knows, nor one that is lost without a word."""
+    with running_etcd(tmp_path) as etcd:
+        site = Site(etcd.place, tmp_path)
+        ana = site.manager("ana")
+        apply(ana)
+        there = "edge2" if site.hosts.placed["t0"] == "edge1" else "edge1"
+        pin_task(ana, Policy(), "t1", site.hosts.placed["t1"])
+    with pytest.raises((CoordinationError, LockBusyError)):
+        pin_task(ana, Policy(), "t0", there)
+    with pytest.raises((CoordinationError, LockBusyError)):
+        unpin_tasks(ana, ["t1"])
+    assert list(load_manager_state(ana.state).pins) == ["t1"]

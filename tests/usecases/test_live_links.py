@@ -108,6 +108,23 @@ def test_a_busy_link_is_read_from_tcp_by_the_end_that_sends_and_is_never_probed(
     assert site.sampled_at == 0.0
 
 
+def test_bursts_are_read_in_their_middle(network: ShapedNetwork, site: Site) -> None:
+    """Pictures over a link on which each takes 39 or 390 ms: no reading is of the end of one, which TCP confirms late."""
+    with network.pictures("robot1", "edge1"):
+        for mbit in (16, 1.6):
+            network.shape(mbit)
+            found: list[float] = []
+            for _ in range(30):
+                link = site.probe(0.5)
+                if link.capacity_source is CapacitySource.TCP:
+                    found.append(link.capacity_bytes_per_s / (mbit * MBIT))
+                    assert found[-1] > 0.6, "a busy machine carries in jerks"
+                    if is_near(link, mbit):
+                        break
+            else:
+                pytest.fail(f"read {found} of the rate")
+
+
 def test_a_cut_link_is_down_within_three_probes_is_said_once_and_comes_back_with_an_answer(
     network: ShapedNetwork, site: Site
 ) -> None:

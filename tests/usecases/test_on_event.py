@@ -13,7 +13,7 @@ import pytest
 
 from edgectl.model.event import Event, EventHook, EventKind
 from edgectl.model.secret import Secret
-from edgectl.state.event_cursor import load_cursors
+from edgectl.state.event_cursor import hold_hook_lock, load_cursors, name_hook
 from edgectl.state.store import Store
 from edgectl.transport.fake import FakeTransport
 from edgectl.usecases.event_courier import CourierJob, deliver_events, read_job
@@ -21,6 +21,7 @@ from edgectl.usecases.event_delivery import deliver_recorded_events, list_file_s
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.hook_run import MAX_EVENTS, build_hook_document, run_hook
 from tests.builders import NOW, an_edge, an_inventory, some_tasks
+from tests.leftovers import end_started_in
 from tests.pace import patience
 
 APPEND = "import sys; open(sys.argv[1], 'a').write(sys.stdin.read() + chr(10))"
@@ -276,3 +277,53 @@ def test_a_secret_that_is_cut_is_masked_too(before: int, after: int) -> None:
         assert failure.startswith("failed with exit code 1: ")
         told = failure.removeprefix("failed with exit code 1: ")
         assert set(told) <= set("xy*"), told
+
+
+def test_two_managers_with_other_entries_on_one_state_directory(tmp_path: Path) -> None:
+    """Neither forgets what the other's entry has received, nor counts it as work that is left."""
+    state = tmp_path / "state"
+    zeta, axe = tmp_path / "zeta", tmp_path / "axe"
+    first = make_fleet(state, append_hook(zeta, kinds=tuple(EventKind)))
+    second = make_fleet(state, append_hook(axe, kinds=tuple(EventKind)))
+    for fleet, event in ((first, EVENTS[0]), (second, EVENTS[1]), (first, EVENTS[2])):
+        record(fleet, event)
+        wait_until(lambda: is_idle_for(fleet), "the courier of this manager delivers")  # noqa: B023
+    assert list_delivered(zeta) == ["host-lost", "task-ready", "task-failed"]
+    record(second)
+    wait_until(lambda: is_idle_for(second), "the second has the third event from its own next run")
+    assert list_delivered(axe) == ["task-ready", "task-failed"]
+    late = dataclasses.replace(first, clock=lambda: time.time() + 2 * 86400.0)
+    record(late)
+    assert len(load_cursors(state).hooks) == 1, (
+        "an entry that no manager had in its files for a day is forgotten"
+    )
+
+
+def is_idle_for(fleet: Fleet) -> bool:
+    newest = fleet.history.use(fleet.state, fleet.warn, lambda store: store.events(limit=1))
+    cursors = load_cursors(fleet.state).hooks
+    return all(cursors[name_hook(hook)].id == newest[0].id for hook in fleet.inventory.on_event)
+
+
+def test_an_entry_that_comes_while_a_courier_works_is_served_at_once(tmp_path: Path) -> None:
+    """The courier of before knows only the entries that it began with."""
+    state, out, begun = tmp_path / "state", tmp_path / "out", tmp_path / "begun"
+    program = f"import pathlib, time; pathlib.Path({str(begun)!r}).touch(); time.sleep(600)"
+    slow = EventHook(command=(sys.executable, "-c", program), timeout=patience(20), every=0.0)
+    record(make_fleet(state, slow), EVENTS[0])
+    wait_until(begun.exists, "the first courier waits for its program")
+    record(make_fleet(state, slow, append_hook(out)), EVENTS[2])
+    wait_until(lambda: list_delivered(out) == ["task-failed"], "the new entry does not wait for the slow one")
+    with hold_hook_lock(state, name_hook(slow)) as free:
+        assert not free, "the slow one is still at work"
+    end_started_in([begun.parent])
+
+
+def test_two_entries_of_one_program_are_two(tmp_path: Path) -> None:
+    """The same command for other kinds: neither takes the events of the other."""
+    out = tmp_path / "out"
+    hooks = [append_hook(out, kinds=(kind,)) for kind in (EventKind.TASK_FAILED, EventKind.HOST_LOST)]
+    fleet = make_fleet(tmp_path / "state", *hooks)
+    record(fleet, *EVENTS)
+    wait_until(lambda: is_idle_for(fleet), "both are served")
+    assert sorted(list_delivered(out)) == ["host-lost", "task-failed"]

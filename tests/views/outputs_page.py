@@ -10,14 +10,14 @@ INTRODUCTION = """\
 
 - A list is `{format_version, kind, items, warnings}`, a single thing `{format_version, kind, item, warnings}`. `warnings` are the
   notes below the table. `plan` and `probe` print the plan and the snapshot file instead, which other commands read.
-- A list of nothing has no line on standard output; a note on standard error says so.
+- An empty list prints nothing on standard output, and a note on standard error.
 - `-o jsonl` prints one item per line, `-o csv` one item per row. In CSV the keys of an object are joined by `_`
   (`memory_used_bytes`) and a list is JSON.
 - `edgectl schema KIND` prints the JSON Schema of a document, where KIND is its `kind`, as in `edgectl schema task-status`. The
   documents of `experiment` have `edgectl schema experiment-results`: `edgectl schema experiment` is that of the file.
 - With `-w`, `-o json` prints one item per line as well; `watch -o jsonl` prints one cycle per line.
-- A number has six significant digits at most, and its unit is in its name. A key has one type wherever it stands; it is null or
-  absent where it is not known. Instants are RFC 3339. The keys of a `map` are names (of hosts, robots, resources ..).
+- A number has six significant digits at most, and its unit is in its name. A key has the same type everywhere; it is null or
+  absent if its value is not known. Instants are RFC 3339. The keys of a `map` are names (of hosts, robots, resources ..).
 """
 
 

@@ -10,7 +10,7 @@ from edgectl.model.explanation import Explanation
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Step
-from edgectl.model.policy import Policy, Weights
+from edgectl.model.policy import Policy, PolicyName, Weights
 from edgectl.model.predicted_latency import ServiceTime
 from edgectl.model.task import Task
 from edgectl.scheduler.assign import assign
@@ -135,3 +135,15 @@ def test_what_the_totals_did_not_decide_is_said() -> None:
     text = ExplanationView(Step(decision=decision, action=Action.KEEP), found).wide()
     assert decision.reason is Reason.DWELL
     assert "The totals alone did not decide this, so no change of a load or a weight is named." in text
+
+
+def test_a_policy_with_a_rule_of_its_own_says_so() -> None:
+    world = a_snapshot(edge1=a_sample(used=3.0), edge2=a_sample())
+    tasks = some_tasks(a_task(cpu=0.4))
+    policy = Policy(name=PolicyName.LEAST_LOADED)
+    assignment = assign(INVENTORY, tasks, world, ManagerState(), policy, NOW)
+    (decision,) = assignment.decisions
+    found = explain_decision(INVENTORY, tasks.tasks["slam"], world, decision, assignment.policy)
+    text = ExplanationView(Step(decision=decision, action=Action.START), found).wide()
+    assert "Policy least-loaded decides by a rule of its own; changes are named for utility only." in text
+    assert "The totals alone" not in text

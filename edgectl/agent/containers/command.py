@@ -10,49 +10,77 @@ from ..link import fast_json
 from ..link.errors import RefusalError
 from ..link.fast_json import Document
 from ..measure import proc
-from ..supervise import spawn
+from ..supervise import signals, spawn
+from ..supervise.command import Command
 from . import ending, record, runner
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Callable, NoReturn
 
+    from ..supervise.logfile import LogWriter
+
 # Create, start and the calls between them, each with its own bound.
 REPORT_S = runner.CREATE_S + runner.START_S + 35.0
 _MAX_NOTES_BYTES = 65536
 
 
-class ContainerCommand:
+class ContainerCommand(Command):
     """Starts the runner, hears its notes, finds and signals what is in the container."""
 
-    def __init__(self, folder: str, identity: Document, spec: Document) -> None:
+    def __init__(self, folder: str, lock: int, log: "LogWriter", identity: Document, spec: Document) -> None:
+        """As a command; ``identity`` and ``spec`` of the task."""
+        super().__init__(folder, lock, log)
         self._folder, self._identity, self._spec = folder, identity, spec
-        self.notes = -1
         self._data = b""
         # (pid, start ticks) of the first process in the container.
-        self.main = (0, -1)
+        self._main = (0, -1)
         # Why the container ended, where its exit code does not say it.
-        self.detail = ""
+        self._detail = ""
+        self._ran = False
 
-    def start(self, lock: int, *, patient: bool) -> "tuple[int, int]":
-        """Create and start the container: (pid of the runner, read end of its output).
-
-        ``patient``: return at once, and wait for an engine that does not answer; else only once it runs.
+    def start(self, spec: Document, env: "dict[str, str]") -> None:
+        """Start a run: the first one until the container runs, a later one at once, which then waits for an
+        engine that does not answer.
 
         Raises:
             OSError: it did not start.
         """
-        self.detail, self.main = "", (0, -1)
-        pid, output = self._fork(lock, lambda found: found.run(patient=patient))
-        if not patient:
-            self._await_start(pid, output)
-        return pid, output
+        del spec, env  # the runner has its own
+        self.take_lock()
+        self.resumed, self.waits = False, self._ran
+        self._detail, self._main = "", (0, -1)
+        pid, pipe = self._fork(self.lock, lambda found: found.run(patient=self._ran))
+        if not self.waits:
+            self._await_start(pid, pipe)
+        self.pid, self.pipe, self._ran = pid, pipe, True
+        self.log.begin_run()
+        self.ticks, self.started = self._main[1], time.monotonic()
 
-    def resume(self, lock: int) -> "tuple[int, int]":
-        """Follow the living container of the record: (pid of the runner, read end of its output)."""
+    def take_over(self, status: Document) -> None:
+        """Follow the container of an orphan by a runner of our own, which has the lock."""
+        del status
+        self.take_lock()
         found = record.read_container(self._folder)
-        self.main = int(found.get("pid", 0)), int(found.get("ticks", -1))
-        return self._fork(lock, lambda each: each.resume())
+        self._main = int(found.get("pid", 0)), int(found.get("ticks", -1))
+        self.pid, self.pipe = self._fork(self.lock, lambda each: each.resume())
+        self.resumed, self._ran, self.ticks = True, True, self._main[1]
+        self.started = time.monotonic() - proc.age_s_from_ticks(self.ticks)
+        self.log.begin_run()
+
+    def get_main(self) -> "tuple[int, int]":
+        """Get (pid, start ticks) of the first process in the container."""
+        return self._main
+
+    def find_main_process(self) -> int:
+        """Find the process that checks mean."""
+        return self._main[0]
+
+    def describe_end(self, code: int) -> Document:
+        """Describe the end of the container by the wait status of its runner."""
+        self.read_notes()
+        outcome = spawn.describe_exit(code)
+        return dict(outcome, detail=self._detail or outcome["detail"])
 
     def _fork(self, lock: int, work: "Callable[[runner.ContainerRunner], int]") -> "tuple[int, int]":
         self.close()
@@ -124,11 +152,12 @@ class ContainerCommand:
         found = [fast_json.loads(line.decode("ascii")) for line in lines]
         for note in found:
             if note["event"] == "started":
-                self.main = int(note["pid"]), int(note["ticks"])
+                self._main = int(note["pid"]), int(note["ticks"])
+                self.ticks, self.started = self._main[1], time.monotonic()
             elif note["event"] == "ended":
-                self.detail = str(note["detail"])
+                self._detail = str(note["detail"])
             elif note["event"] == "failed":
-                self.detail = str(note["reason"])
+                self._detail = str(note["reason"])
         return found
 
     def close(self) -> None:
@@ -137,19 +166,20 @@ class ContainerCommand:
             os.close(self.notes)
         self.notes, self._data = -1, b""
 
-    def find_processes(self, table: "dict[int, proc.Process]") -> "set[int]":
-        """Find the processes in the container."""
-        return record.find_container_processes(self._folder, table)
+    def _find_tree(self, table: "dict[int, proc.Process]") -> "set[int]":
+        """Find the runner, what it has started, and the processes in the container."""
+        inside = record.find_container_processes(self._folder, table)
+        return super()._find_tree(table) | inside
 
-    def signal_step(
+    def _signal_step(
         self,
-        number: int,
+        step: "tuple[str, str, float]",
         left: "set[int]",
         table: "dict[int, proc.Process]",
         sent: "set[tuple[int, int, int]]",
     ) -> "set[tuple[int, int, int]]":
         """Send one step of a stop."""
-        return ending.signal_step(self._folder, number, left, table, sent)
+        return ending.signal_step(self._folder, signals.parse_signal(step[0]), left, table, sent)
 
 
 def describe_loss(note: Document) -> str:

@@ -44,7 +44,7 @@ def experiment_run_command(
 
     The fleet must be idle before each trial and is cleared after it. To resume an interrupted experiment,
     repeat the command: it runs the trials that are missing. Ctrl-C ends the current trial and stops its
-    tasks.
+    tasks. Exit code 4 if a mission did not end before its limit.
 
     Examples:
         edgectl experiment run tasks/patrol/experiment.yaml
@@ -85,6 +85,8 @@ def experiment_run_command(
     _print_experiment(output, run)
     if control.stop_requested.is_set():
         raise Exit(ExitCode.INTERRUPTED)
+    if not all(trial.finished for trial in run.trials):
+        raise Exit(ExitCode.PARTLY)
 
 
 def _check_truth_maps(experiment: "Experiment", directory: Path) -> None:

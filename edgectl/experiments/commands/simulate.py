@@ -4,10 +4,11 @@
 from pathlib import Path
 from typing import Annotated
 
-from typer import Argument, Option
+from typer import Argument, Exit, Option
 
 from edgectl.cli import console, options
 from edgectl.cli.user_files import load_named_inputs
+from edgectl.errors import ExitCode
 from edgectl.experiments.commands.scheme_options import EquivalenceOption, PoliciesOption, WeightsListOption
 from edgectl.views.output_format import OutputFormat
 
@@ -34,7 +35,8 @@ def simulate_run_command(
 
     Inventory and tasks default to those named in the scenario; the default schemes are local, static, and
     utility with the weights cpu, memory, network and all. Below each scheme are the published values, or with
-    --against those of an experiment, and the deviation of the model. Requires the extra evidence.
+    --against those of an experiment, and the deviation of the model. Exit code 4 if a mission does not end
+    before its limit. Requires the extra evidence.
 
     Examples:
         edgectl simulate run docs/scenarios/paper-2.yaml --runs 2
@@ -64,3 +66,5 @@ def simulate_run_command(
     compared = compare_schemes(results, bound)
     view = SimulationView(scenario=mission, results=results, reference=reference, comparisons=compared)
     console.print_view(view, output)
+    if any(result.unfinished for result in results):
+        raise Exit(ExitCode.PARTLY)

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
-from edgectl.errors import FileError
+from edgectl.errors import FileError, UsageError
 from edgectl.experiments.files.run_codec import RUN_KIND, TRIAL_KIND
 from edgectl.experiments.model.experiment import Experiment, ExperimentRun, Trial
 from edgectl.formats.document import FormatErrors
@@ -24,7 +24,8 @@ def load_run(directory: Path) -> ExperimentRun:
     """The run in ``directory`` with its trials, ordered by scheme, then repetition.
 
     Raises:
-        FileError: there is no run, or one of its files is damaged.
+        UsageError: there is no run.
+        FileError: one of its files is damaged.
         StateError: a newer edgectl wrote it.
     """
     run = _load_run_header(directory)
@@ -118,7 +119,7 @@ def _load_run_header(directory: Path) -> ExperimentRun:
             hint="restore it, or start again in another directory: --out DIR",
         ) from error
     if found is None:
-        raise FileError(
+        raise UsageError(
             f"no run in {directory}: {RUN_FILE_NAME} not found",
             hint="name a directory written by edgectl experiment run",
         )

@@ -30,35 +30,30 @@ from edgectl.config.scalars import (
     read_version,
     report_wrong_type,
 )
-from edgectl.config.schema import Schema, build_file_schema, build_object_schema, describe_as
+from edgectl.config.schema import Schema, build_file_schema, build_object_schema
 from edgectl.config.source import read_source
 from edgectl.config.yaml_parser import parse_yaml
+from edgectl.experiments.files.cycle_reader import build_cycles_schema, parse_number, read_cycles
 from edgectl.experiments.files.event_keys import SCENARIO_EVENT_KEYS, build_events_schema
 from edgectl.experiments.files.event_readers import read_scenario_events
 from edgectl.experiments.files.fleet_files import check_name_exists, resolve_fleet_files
-from edgectl.experiments.model.scenario import Radio, Scenario, SimHost, SimJob, SimLink, SimTiming
+from edgectl.experiments.model.scenario import Radio, Scenario, SimCycle, SimHost, SimJob, SimLink, SimTiming
 from edgectl.model.inventory import Inventory, Role
 from edgectl.model.task import Tasks
-from edgectl.units import QuantityError, parse_bytes, parse_cores, parse_duration, parse_rate, parse_share
+from edgectl.units import parse_bytes, parse_cores, parse_duration, parse_rate, parse_share
 
 _TASK_NAME_PATTERN = re.compile(protocol.NAME_PATTERN)
 _PUBLISHED_NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9 ._-]{0,62}")
 _read_duration_s = quantity_reader(parse_duration)
 
 
-@describe_as(lambda: {"type": "number"})
-def _parse_float(raw: object) -> float:
-    if isinstance(raw, bool) or not isinstance(raw, int | float):
-        raise QuantityError("must be a number", "write 3.5")
-    return float(raw)
-
-
-_read_number = quantity_reader(_parse_float)
+_read_number = quantity_reader(parse_number)
 SIM_HOST_KEYS: Mapping[str, NodeReader] = {
     "cores": quantity_reader(parse_cores, above_zero=True),
     "memory": quantity_reader(parse_bytes, above_zero=True),
     "base_cores": quantity_reader(parse_cores),
     "base_memory": quantity_reader(parse_bytes),
+    "period": _read_duration_s,
 }
 JOB_KEYS: Mapping[str, NodeReader] = {
     "for_each": read_text,
@@ -66,6 +61,8 @@ JOB_KEYS: Mapping[str, NodeReader] = {
     "work": quantity_reader(parse_duration, above_zero=True),
     "after": list_reader_with_nodes(read_name),
     "spread": quantity_reader(parse_share),
+    "senses": list_reader_with_nodes(read_name),
+    "fresh": quantity_reader(parse_duration, above_zero=True),
 }
 TIMING_KEYS: Mapping[str, NodeReader] = {
     "start": _read_duration_s,
@@ -73,6 +70,9 @@ TIMING_KEYS: Mapping[str, NodeReader] = {
     "every": quantity_reader(parse_duration, above_zero=True),
     "noise": quantity_reader(parse_share),
     "limit": quantity_reader(parse_duration, above_zero=True),
+    "probe": _read_duration_s,
+    "apply": _read_duration_s,
+    "paced": read_bool,
 }
 LINK_KEYS: Mapping[str, NodeReader] = {
     "edge": read_name,
@@ -97,6 +97,7 @@ SCENARIO_KEYS: Mapping[str, NodeReader] = {
     "live_links": read_bool,
     "events": keep_node,
     "radio": enum_reader(Radio),
+    "cycles": keep_node,
     "published": mapping_reader(
         _PUBLISHED_NAME_PATTERN,
         "a scheme",
@@ -119,6 +120,7 @@ def build_scenario_schema() -> Schema:
         _REQUIRED_KEYS,
         hosts={"type": "object", "additionalProperties": host},
         jobs={"type": "object", "additionalProperties": job},
+        cycles=build_cycles_schema(),
         events=build_events_schema(SCENARIO_EVENT_KEYS),
     )
     return build_file_schema("scenario", schema)
@@ -164,7 +166,10 @@ def _build_scenario(fields: Fields, inventory: Inventory, tasks: Tasks, problems
             check_name_exists(fields.at(key), task, tasks.tasks, "task", problems)
     for task, host in values.get("placed", {}).items():
         check_name_exists(fields.at("placed").inner(task), host, inventory.hosts, "host", problems)
-    jobs = tuple(_read_jobs(fields.at("jobs"), inventory, tasks, problems)) if "jobs" in fields else ()
+    cycles = read_cycles(fields.at("cycles"), inventory, tasks, problems) if "cycles" in fields else {}
+    jobs = (
+        tuple(_read_jobs(fields.at("jobs"), inventory, tasks, cycles, problems)) if "jobs" in fields else ()
+    )
     return Scenario(
         name=values.get("name", ""),
         assumptions=values.get("assumptions", ()),
@@ -182,6 +187,7 @@ def _build_scenario(fields: Fields, inventory: Inventory, tasks: Tasks, problems
         events=read_scenario_events(fields.at("events"), inventory, tasks, jobs, problems)
         if "events" in fields
         else (),
+        cycles=cycles,
     )
 
 
@@ -224,7 +230,9 @@ def _read_sim_hosts(node: Node, inventory: Inventory, problems: Problems) -> dic
     return found
 
 
-def _read_jobs(node: Node, inventory: Inventory, tasks: Tasks, problems: Problems) -> Iterator[SimJob]:
+def _read_jobs(
+    node: Node, inventory: Inventory, tasks: Tasks, cycles: Mapping[str, SimCycle], problems: Problems
+) -> Iterator[SimJob]:
     """The jobs.
 
     One with ``for_each: robot`` is repeated for each robot as JOB-ROBOT, with the task TASK-ROBOT.
@@ -246,9 +254,8 @@ def _read_jobs(node: Node, inventory: Inventory, tasks: Tasks, problems: Problem
     _check_order(node, read, problems)
     for key, fields in read.items():
         for index, job in enumerate(names[key]):
-            task = (
-                f"{fields.values['task']}-{robots[index]}" if "for_each" in fields else fields.values["task"]
-            )
+            ending = f"-{robots[index]}" if "for_each" in fields else ""
+            task = fields.values["task"] + ending
             if not check_name_exists(fields.at("task"), task, tasks.tasks, "task", problems):
                 continue
             before = [
@@ -264,7 +271,18 @@ def _read_jobs(node: Node, inventory: Inventory, tasks: Tasks, problems: Problem
                 work=fields.values["work"],
                 after=tuple(name for jobs in before for name in jobs),
                 spread=fields.values.get("spread", 0.0),
+                senses=tuple(_read_senses(fields, ending, cycles, problems)),
+                fresh=fields.values.get("fresh", 0.5),
             )
+
+
+def _read_senses(
+    fields: Fields, ending: str, cycles: Mapping[str, SimCycle], problems: Problems
+) -> Iterator[str]:
+    """The tasks, of the same robot, of which the job needs results: each has cycles."""
+    for word, node in fields.values.get("senses", ()):
+        if check_name_exists(node, f"{word}{ending}", cycles, "task with cycles", problems):
+            yield f"{word}{ending}"
 
 
 def _select_predecessors(names: list[str], index: int, *, both: bool) -> list[str]:

@@ -62,7 +62,7 @@ def _slow_link(event: MissionEvent, best: float, ratio: float) -> MissionEvent:
 
 
 def _set_timing(name: str) -> Callable[[World, Any], World]:
-    def change(world: World, value: float) -> World:
+    def change(world: World, value: Any) -> World:  # noqa: ANN401 - as its reader has it
         timing = replace(world.scenario.timing, **{name: value})
         return world._replace(scenario=replace(world.scenario, timing=timing))
 

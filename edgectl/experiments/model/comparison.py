@@ -100,13 +100,14 @@ class RecoveryResult:
 class EventResult:
     """An event of the mission over all runs of a scheme.
 
-    ``at``: s after the start of the mission, of its first occurrence in a run. ``failed``: how often it was
-    not made, or not undone.
+    ``runs``: in which it happened. ``at``: s after the start of the mission, of its first occurrence in a
+    run. ``failed``: how often it was not made, or not undone.
     """
 
     event: str
     kind: str
     subject: str
+    runs: int
     failed: int
     at: Estimate | None
     recoveries: RecoveryResult

@@ -11,6 +11,7 @@ from edgectl.experiments.model.schemes import Scheme
 from edgectl.model.cycle import Cycle
 from edgectl.model.encoding import Bounds, Columns, FromOne, Instant, Positive, Rounded, in_document
 from edgectl.model.inventory import Role
+from edgectl.model.snapshot import CapacitySource
 
 # Precision in the files of a run: of times, cores and similarities in decimals, of what applications report
 # in digits.
@@ -109,6 +110,15 @@ class LoadSample:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class LinkCapacity:
+    """What a plan took a link to carry from ``at`` s after the start of the trial on, in bytes/s."""
+
+    at: Seconds = field(metadata=in_document("at_s"))
+    bytes_per_s: Whole
+    source: CapacitySource
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MissionUsage:
     """What a host used from the start of a trial to the end of its mission, by counters (ADR 0132).
 
@@ -165,7 +175,8 @@ class Trial:
 
     ``latency``: s from the first plan to the completion of the last task in ``until``; the time limit if not
     ``finished``. ``completed``: by task, s after the start of the trial. ``unplaced``: tasks without a host,
-    summed over all plans. ``loads``: by host. ``readings``: by metric, then task. ``ssim``: by column, -1..1.
+    summed over all plans. ``loads``: by host. ``links``: by edge, then robot, whenever it changed.
+    ``readings``: by metric, then task. ``ssim``: by column, -1..1.
     ``usage``: by host, over the mission; empty in trials of earlier releases.
     ``events``: what happened, in the order of time.
     """
@@ -186,6 +197,7 @@ class Trial:
         default_factory=dict, metadata=_WRITTEN
     )
     ssim: Mapping[str, Similarity] = field(default_factory=dict, metadata=_WRITTEN)
+    links: Mapping[str, Mapping[str, Columns[LinkCapacity]]] = field(default_factory=dict)
     usage: Mapping[str, MissionUsage] = field(default_factory=dict)
     events: tuple[EventRecord, ...] = ()
 

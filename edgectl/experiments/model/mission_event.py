@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 from edgectl.model.encoding import Bounds, FromOne, Positive, Rounded, in_document
-from edgectl.model.task import Tasks
+from edgectl.model.task import NeedCondition, Tasks
 
 Time = Annotated[float, Rounded(decimals=3)]
 Fraction = Annotated[float, Bounds(above=True, maximum=1.0)]
@@ -140,7 +140,7 @@ class EventRecord:
     """A change that happened ``at`` s after the start of the mission, and was undone at ``until``.
 
     ``until``: None where it was not undone. ``error``: why it was not made, or not undone. ``tasks``: those
-    that entered with it.
+    that begin with it.
     """
 
     event: str
@@ -153,14 +153,25 @@ class EventRecord:
 
 
 def begin_record(event: MissionEvent, at: float, tasks: Tasks) -> EventRecord:
-    """The record of an occurrence that begins ``at`` s after the start of the mission; ``tasks``: all."""
+    """The record of an occurrence that begins ``at`` s after the start of the mission; ``tasks``: all.
+
+    A task that waits until another has completed, or for a task that does, begins later than it enters.
+    """
     present = select_present_tasks(tasks, (event,), ()).tasks
     return EventRecord(
         event=event.name,
         kind=event.kind or event.change,
         subject=event.subject,
         at=at,
-        tasks=tuple(name for name in tasks.tasks if name not in present),
+        tasks=tuple(name for name in tasks.tasks if name not in present and _can_begin(name, tasks)),
+    )
+
+
+def _can_begin(name: str, tasks: Tasks) -> bool:
+    """Whether the task begins as soon as the tasks that it needs run."""
+    return all(
+        need.until is not NeedCondition.COMPLETED and _can_begin(need.task, tasks)
+        for need in tasks.tasks[name].needs
     )
 
 

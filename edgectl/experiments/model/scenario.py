@@ -17,19 +17,40 @@ class Radio(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimHost:
-    """Capacity of a host and its base load from other processes, in cores and bytes."""
+    """Capacity of a host and its base load from other processes, in cores and bytes.
+
+    ``period``: s in which a quota lets its tasks use ``cores`` times as many CPU seconds, in a burst; 0: no
+    quota.
+    """
 
     cores: float
     memory: float
     base_cores: float = 0.0
     base_memory: float = 0.0
+    period: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimCycle:
+    """A task that works on one item after the other, at most ``rate`` a second.
+
+    An item takes ``source_cpu`` (CPU s) of the task ``source`` that makes it, then ``transfer`` bytes over
+    the link between the task and its robot, then ``cpu`` (CPU s) of the task itself.
+    """
+
+    rate: float
+    cpu: float = 0.0
+    transfer: float = 0.0
+    source: str = ""
+    source_cpu: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimJob:
     """A part of the mission: ``work`` s (> 0) of ``task`` at full speed, after all jobs in ``after``.
 
-    ``spread``: standard deviation of the logarithm of the work between runs.
+    ``spread``: standard deviation of the logarithm of the work between runs. ``senses``: tasks with cycles,
+    of which results older than ``fresh`` (s) slow the job: twice as old, half the speed.
     """
 
     name: str
@@ -37,6 +58,8 @@ class SimJob:
     work: float
     after: tuple[str, ...] = ()
     spread: float = 0.0
+    senses: tuple[str, ...] = ()
+    fresh: float = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,6 +77,8 @@ class SimTiming:
     """Durations in s.
 
     ``start``: of a task until ready. ``stop``: of a task until gone. ``every``: between two plans.
+    ``probe``: of the reading before each plan. ``apply``: of a plan with steps, besides those. ``paced``:
+    ``every`` counts from the start of a reading, as in a watch, and what is overrun is left out.
 
     ``noise``: standard deviation of a CPU reading, as a share of the capacity. ``limit``: time limit of a
     run.
@@ -64,6 +89,9 @@ class SimTiming:
     every: float = 25.0
     noise: float = 0.0
     limit: float = 7200.0
+    probe: float = 0.0
+    apply: float = 0.0
+    paced: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +104,8 @@ class Scenario:
     in min over ``published_runs`` trials. ``links``: changes of what links carry; the inventory has
     their nominal capacity. ``live_links``: the scheduler sees them, as by the probes of ``watch``.
     ``events``: what else changes during the mission. ``radio``: whether links share air time.
+    ``cycles``: by task, of those whose speed follows from what an item takes, and not from a share of their
+    demand.
     """
 
     name: str
@@ -92,6 +122,7 @@ class Scenario:
     live_links: bool = True
     events: tuple[MissionEvent, ...] = ()
     radio: Radio = Radio.SEPARATE
+    cycles: Mapping[str, SimCycle] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

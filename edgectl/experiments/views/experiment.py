@@ -40,7 +40,7 @@ from edgectl.views.output_format import EXPERIMENT_FORMATS
 from edgectl.views.plan import escape_markdown
 from edgectl.views.text import PLAIN, RenderOptions, Row, escape_unprintable, wrap_text
 
-_NARROW_METRICS = ("latency", "cpu", "memory", "handoffs")
+_NARROW_METRICS = ("latency", "cpu", "memory", "handoffs", "gap")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +86,7 @@ class ExperimentView(ItemView):
                 {
                     **encode_scheme_result(result),
                     **encode_application_metrics(result),
-                    **encode_events(result),
+                    **encode_events(result, self.run.experiment.events),
                 }
                 for result in self.results
             ],
@@ -187,7 +187,7 @@ def describe_experiment(
     yield f"{done} of {planned} trials of {experiment.name}; {describe_table_numbers(every=every)}{by_edge}."
     yield from describe_comparisons(comparisons)
     yield from describe_unfinished(results, "trials")
-    yield from describe_recovery(results)
+    yield from describe_recovery(results, experiment.events)
     yield from (
         f"{result.scheme.name}: unplaced tasks, summed over all plans: {result.unplaced}"
         for result in results

@@ -66,13 +66,27 @@ class SimulationView(ItemView):
             "notes": list(self.reference.notes),
             "answer": describe_answer(find_primary_comparison(self.comparisons)),
             "comparisons": [encode_comparison(each) for each in self.comparisons],
-            "schemes": [_encode_simulated_scheme(result, self.reference) for result in self.results],
+            "schemes": [self._encode_scheme(result) for result in self.results],
         }
 
     def rows(self) -> Sequence[Document]:
         """One row per scheme."""
         schemes: Sequence[Document] = round_item(self.item())["schemes"]  # type: ignore[assignment]
         return schemes
+
+    def _encode_scheme(self, result: SchemeResult) -> Document:
+        known = self.reference.means.get(result.scheme.name, {})
+        return {
+            **encode_scheme_result(result),
+            **encode_events(result, self.scenario.events),
+            "reference_figures": {
+                metric: [encode_optional(mean) for mean in means] for metric, means in known.items()
+            },
+            "off_by": {
+                metric: [encode_optional(share) for share in _compute_deviations(result, metric, means)]
+                for metric, means in known.items()
+            },
+        }
 
     def _render(self, look: RenderOptions, *, every: bool) -> str:
         columns = [
@@ -99,7 +113,8 @@ class SimulationView(ItemView):
         yield f"{runs} {noun} of each scheme; {numbers}, by edge (local: of the robots)."
         yield from describe_comparisons(self.comparisons)
         yield from describe_unfinished(self.results, "runs")
-        yield from describe_recovery(self.results)
+        yield from describe_recovery(self.results, self.scenario.events)
+        yield from _describe_lost_hosts(self.scenario, self.results)
         yield from describe_latency_ratios(
             self.results, lambda result, base: _format_reference_ratio(self.reference, result, base)
         )
@@ -190,16 +205,12 @@ def _format_reference_ratio(reference: ReferenceValues, result: SchemeResult, ba
     return f" ({reference.label} {latencies[0] / latencies[1]:.2f})"
 
 
-def _encode_simulated_scheme(result: SchemeResult, reference: ReferenceValues) -> Document:
-    known = reference.means.get(result.scheme.name, {})
-    return {
-        **encode_scheme_result(result),
-        **encode_events(result),
-        "reference_figures": {
-            metric: [encode_optional(mean) for mean in means] for metric, means in known.items()
-        },
-        "off_by": {
-            metric: [encode_optional(share) for share in _compute_deviations(result, metric, means)]
-            for metric, means in known.items()
-        },
-    }
+def _describe_lost_hosts(scenario: Scenario, results: Sequence[SchemeResult]) -> Iterator[str]:
+    """Why runs reach the limit where a host is lost for good."""
+    if any(result.unfinished for result in results):
+        yield from (
+            f"{event.lost} stays lost, because event {event.name} has no for: its tasks wait for it unless "
+            "they state on_unreachable: replace"
+            for event in scenario.events
+            if event.lost is not None and event.duration is None
+        )

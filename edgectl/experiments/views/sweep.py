@@ -66,6 +66,11 @@ class SweepView(ListView):
                 f"{self.sweep.bounds.error:.0%}, and then a world ends; -: none in "
                 f"{self.sweep.bounds.runs} runs."
             )
+        else:
+            yield (
+                "FASTEST: - everywhere, since the sweep file states no error: all runs are made, and none is "
+                "called the fastest."
+            )
 
 
 def _build_row(axes: Sequence[str], world: SweepWorld, result: WorldResult, intervals: bool) -> Row:  # noqa: FBT001

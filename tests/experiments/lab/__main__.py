@@ -15,11 +15,14 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import nullcontext
 from pathlib import Path
 
 import yaml
 
+from edgectl.errors import ExitCode
 from tests.experiments.lab.hosts import Lab, lab, spent
+from tests.experiments.lab.machine import FILE_NAME, watch_machine
 from tests.experiments.lab.patrol import ROOT
 from tests.experiments.lab.spec import shortened
 from tests.faults.namespace_host import NamespaceHost
@@ -50,12 +53,13 @@ def run(made: Lab, out: Path, repetitions: int, policies: str) -> int:
     """All trials, the table, the page, the figures."""
     spec = made.site / "experiment.yaml"
     spec.write_text(shortened(spec.read_text(), repetitions=repetitions, policies=policies))
-    code = edgectl(
-        "experiment", "run", str(spec), "--out", str(out), prefix=made.prefix, env=made.environment
-    )
-    return code or edgectl(
-        "report", str(out), "--figures", str(out / "figures"), prefix=[], env=made.environment
-    )
+    words = ["experiment", "run", str(spec), "--out", str(out)]
+    with watch_machine(out / FILE_NAME, made.read_cpu_s) if made.groups else nullcontext():
+        code = edgectl(*words, prefix=made.prefix, env=made.environment)
+    if code not in (ExitCode.DONE, ExitCode.PARTLY):
+        return code
+    figures = ["--figures", str(out / "figures")]
+    return edgectl("report", str(out), *figures, prefix=[], env=made.environment) or code
 
 
 def profile(made: Lab) -> int:

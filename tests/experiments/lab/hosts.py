@@ -3,8 +3,9 @@
 
 import json
 import os
+import shlex
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +19,7 @@ from tests.experiments.lab.patrol import PATROL, radio
 from tests.faults import cgroup, scan
 from tests.faults.hosts import Host, start_loopback_hosts
 from tests.faults.namespace_host import NamespaceHost, find_missing_for_namespaces, start_namespace_hosts
-from tests.faults.network import ManagerNetwork, run_tc
+from tests.faults.network import ManagerNetwork, run_ip, run_tc
 
 FLEET = yaml.safe_load((PATROL / "fleet.yaml").read_text())
 CORES = {
@@ -37,7 +38,8 @@ MEMORY = {
 class Lab:
     """``site``: the directory with the experiment's files for these hosts. ``prefix``: puts a command where the manager is.
 
-    ``real``: what is as on real hosts; ``wanting``: what could not be had, and why.
+    ``real``: what is as on real hosts; ``wanting``: what could not be had, and why. ``groups``: control groups of the computers and
+    of the manager, which come before other processes of this machine.
     """
 
     site: Path
@@ -46,6 +48,11 @@ class Lab:
     environment: dict[str, str]
     real: str
     wanting: str
+    groups: list[cgroup.CpuGroup] = field(default_factory=list)
+
+    def read_cpu_s(self) -> float:
+        """CPU seconds of the computers and of the manager so far."""
+        return sum(group.read_cpu_s() for group in self.groups)
 
 
 def missing() -> str:
@@ -71,14 +78,20 @@ def lab(directory: Path, *, plain: bool = False) -> Iterator[Lab]:
         )
         computers = {name: host for name, host in hosts.items() if isinstance(host, NamespaceHost)}
         classes, unshaped = _shape_links(network, computers)
+        manager = cgroup.create_cgroup(f"edgectl-experiment-{os.getpid()}", float(os.cpu_count() or 1))
+        stack.callback(manager.remove)
+        groups = [*(host.group for host in computers.values()), manager]
+        for group in groups:
+            group.prefer()
         limits = ", ".join(f"{name} {cores:g}" for name, cores in CORES.items())
         links = f"{radio.NEAR} near an edge, else {radio.FAR}" if not unshaped else "any"
         made = _lab(
             directory,
             hosts,
-            network.prefix,
+            [*network.prefix, *_enter(manager)],
             f"computers in namespaces, cores: {limits}; links: {links}",
             f"links as they are: {unshaped}" if unshaped else "",
+            groups,
         )
         if not unshaped:
             (directory / "radio.json").write_text(json.dumps(classes))
@@ -102,8 +115,11 @@ def _shape_links(
 ) -> tuple[dict[str, dict[str, list[list[str]]]], str]:
     """A class of its own for each link and direction, on the cables of both ends; why not, where that cannot be.
 
-    What the manager sends is in the class of the rest, which carries what it is given.
+    What the manager sends is in the class of the rest, which carries what it is given. Hosts send frames, as over a radio: a
+    queue that gets packets of 64 kB carries a tenth of a second of a slow link at once, and its rate cannot be read.
     """
+    for computer in computers.values():
+        run_ip("link", "set", "eth0", "gso_max_segs", "1", netns=computer.pid)
     classes: dict[str, dict[str, list[list[str]]]] = {robot: {} for robot in FLEET["robots"]}
     for kind, others in (("edges", "robots"), ("robots", "edges")):
         for name in FLEET[kind]:
@@ -125,7 +141,20 @@ def _shape_links(
     return classes, ""
 
 
-def _lab(directory: Path, hosts: dict[str, Host], prefix: list[str], real: str, wanting: str) -> Lab:
+def _enter(group: cgroup.CpuGroup) -> list[str]:
+    """Prefix of a command that runs it in the control group."""
+    orders = "".join(f"echo $$ >{shlex.quote(file)}; " for file in group.procs_files)
+    return ["sh", "-c", f'{orders}exec "$@"', "manager"]
+
+
+def _lab(
+    directory: Path,
+    hosts: dict[str, Host],
+    prefix: list[str],
+    real: str,
+    wanting: str,
+    groups: Sequence[cgroup.CpuGroup] = (),
+) -> Lab:
     for host in hosts.values():
         _copy_programs(host.home)
     site = directory / "site"
@@ -140,6 +169,7 @@ def _lab(directory: Path, hosts: dict[str, Host], prefix: list[str], real: str, 
         environment=_environment(directory, hosts),
         real=real,
         wanting=wanting,
+        groups=list(groups),
     )
 
 

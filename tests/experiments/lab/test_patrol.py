@@ -14,10 +14,12 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.experiments.lab.patrol import PATROL, detection, follower, grid, mapper, radio, robot, wire, world
+from tests.pace import patience
 
 PLAN = world.Plan()
 COLUMN, ROW = st.integers(0, world.WIDTH - 1), st.integers(0, world.HEIGHT - 1)
@@ -263,6 +265,30 @@ def test_a_result_is_as_old_as_its_picture_by_the_clock_of_the_robot() -> None:
         time.sleep(0.05)
         assert 50.0 <= wire.give_result(link, "frame", header["number"]) < 1000.0 * wire.PATIENCE_S
         assert link.ask("pose")[0]["taken"] == {"frame": 1, "scan": 0}
+
+
+def test_who_reads_the_pipe_hears_of_the_next_result(tmp_path: Path) -> None:
+    """By the command that tasks.yaml states; nobody needs to listen, and the pipe survives a restart of the robot."""
+    made = robot.Robot(1)
+    for _ in range(2):
+        robot.make_pipes(made, "robot1", tmp_path / "edgectl-patrol")
+    command = yaml.safe_load((PATROL / "tasks.yaml").read_text())["tasks"]["detection"]["heard"]
+    words = ["sh", "-c", command.replace("{robot}", "robot1")]
+    with serving(made) as link:
+        number = link.ask("frame")[0]["number"]
+        wire.give_result(link, "frame", number)
+        listening = subprocess.Popen(words, env={"HOME": str(tmp_path)})
+        try:
+            with pytest.raises(subprocess.TimeoutExpired):
+                listening.wait(0.3)
+            wire.give_result(link, "scan", link.ask("scan")[0]["number"])
+            with pytest.raises(subprocess.TimeoutExpired):
+                listening.wait(0.3)
+            wire.give_result(link, "frame", number)
+            assert listening.wait(patience(20)) == 0
+        finally:
+            listening.kill()
+            listening.wait()
 
 
 def test_a_radio_without_links_to_shape_says_so(

@@ -15,6 +15,7 @@ from edgectl.api import (
     Session,
     Severity,
     Snapshot,
+    Tasks,
     Transport,
 )
 
@@ -65,3 +66,21 @@ def append_to_file(document: Mapping[str, Any], options: Mapping[str, str]) -> N
     with Path(options["path"]).open("a") as file:
         for event in document["items"]:
             file.write(json.dumps({"fleet": document["fleet"], **event}) + "\n")
+
+
+def rate_shade(inventory: Inventory, tasks: Tasks, _snapshot: Snapshot) -> dict[str, dict[str, float]]:
+    """A term: hosts that the inventory labels ``sun: yes`` are worth half of the others, for every task."""
+    rated = {name: 0.5 if host.labels.get("sun") == "yes" else 1.0 for name, host in inventory.hosts.items()}
+    return dict.fromkeys(tasks.tasks, rated)
+
+
+def prefer_few_tasks(inventory: Inventory, tasks: Tasks, snapshot: Snapshot) -> dict[str, dict[str, float]]:
+    """A policy: the fewer tasks run on a host already, the better it is; one that does not answer is 0."""
+    counts = {
+        name: sum(run.state.alive for run in host.tasks.values())
+        for name, host in snapshot.hosts.items()
+        if host.ok
+    }
+    most = max(counts.values(), default=0) + 1
+    rated = {name: 1 - counts[name] / most if name in counts else 0.0 for name in inventory.hosts}
+    return dict.fromkeys(tasks.tasks, rated)

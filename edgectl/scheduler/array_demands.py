@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measured demands of many tasks as arrays (ADR 147): shares of capacity by group of alike edges.
+
+With a history of its own each task has other demands, so that rows of shares cannot be kept. They are
+computed for a block of tasks at once, one number for each group (`edge_groups`), and spread over the edges
+when the task is weighed. Every operation is that of ``scan``, element by element.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import field
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edgectl.dataclass import dataclass
+from edgectl.model.policy import Weights
+from edgectl.model.resource import HOST_RESOURCES, NETWORK
+from edgectl.scheduler.capacities import Capacities
+from edgectl.scheduler.demand import ClassDemands
+from edgectl.scheduler.edge_groups import group_edges
+
+Array = NDArray[np.float64]
+_HOST_NAMES = tuple(resource.name for resource in HOST_RESOURCES)
+# Numbers that one block holds: some 4 MiB.
+MAX_BLOCK = 500_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DemandBlock:
+    """Tasks from number ``start`` on.
+
+    ``shares``: by task, then by resource of hosts and as the last row the weighted sum, each by group of
+    edges. ``rates``: bytes/s by task and class of hosts; ``shared``: by task, whether one is a share of
+    what a link carries; ``even``: whether they are the same on all classes.
+    """
+
+    start: int
+    shares: Array
+    rates: Array
+    shared: list[bool]
+    even: list[bool]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredRows:
+    """Demands of tasks with a history, ``names``, in the order in which they will be asked for; ``index``:
+    the number of each.
+
+    ``kinds``: classes of hosts. ``kind_of``: by group of edges. ``raw`` and ``usable``: by resource of hosts
+    and group. ``spread``: where each of the rows of a task takes the number for each edge from. ``size``:
+    tasks of a block. ``blocks``: the last one that was made.
+    """
+
+    demands: Mapping[str, ClassDemands]
+    names: Sequence[str]
+    index: Mapping[str, int]
+    weights: Weights
+    kinds: Sequence[str]
+    kind_of: NDArray[np.intp]
+    raw: Array
+    usable: Array
+    spread: NDArray[np.intp]
+    size: int
+    blocks: list[DemandBlock] = field(default_factory=list)
+
+    def find_shares(self, number: int) -> Array:
+        """D / Delta of one task: a row for each resource of hosts by edge, and the weighted sum."""
+        block = self._get_block(number)
+        row: Array = block.shares[number - block.start].take(self.spread)
+        return row
+
+    def find_weighted(self, number: int) -> Array:
+        """The weighted sum of ``find_shares`` alone."""
+        block = self._get_block(number)
+        row: Array = block.shares[number - block.start].take(self.spread[-1])
+        return row
+
+    def find_rates(self, number: int) -> "Array | float | None":
+        """Bytes/s of one task, by class of hosts or the same on all; None: a share of what a link carries."""
+        block = self._get_block(number)
+        at = number - block.start
+        if block.shared[at]:
+            return None
+        rates: Array = block.rates[at]
+        return float(rates[0]) if block.even[at] else rates
+
+    def _get_block(self, number: int) -> DemandBlock:
+        if not self.blocks or not 0 <= number - self.blocks[0].start < self.size:
+            self.blocks[:] = [self._build_block(number // self.size * self.size)]
+        return self.blocks[0]
+
+    def _build_block(self, start: int) -> DemandBlock:
+        names = self.names[start : start + self.size]
+        shares: Array = np.zeros((len(names), len(_HOST_NAMES) + 1, self.raw.shape[1]))
+        for index, name in enumerate(_HOST_NAMES):
+            amounts, relative = self._list_amounts(names, name)
+            amounts = amounts.take(self.kind_of, axis=1)
+            raw, usable = self.raw[index], self.usable[index]
+            if relative.any():
+                with np.errstate(invalid="ignore"):
+                    shared = np.where(raw != inf, amounts * raw, 0.0)
+                amounts = np.where(relative.take(self.kind_of, axis=1), shared, amounts)
+            np.divide(amounts, usable, out=shares[:, index], where=usable > 0)
+            shares[:, -1] += self.weights[name] * shares[:, index]
+        rates, relative = self._list_amounts(names, NETWORK.name)
+        return DemandBlock(
+            start=start,
+            shares=shares.reshape(len(names), -1),
+            rates=rates,
+            shared=np.logical_or.reduce(relative, axis=1).tolist(),
+            even=(rates == rates[:, :1]).all(axis=1).tolist(),
+        )
+
+    def _list_amounts(self, names: Sequence[str], resource: str) -> tuple[Array, NDArray[np.bool_]]:
+        """By task and class of hosts: the demand, and whether it is a share."""
+        found: list[tuple[float, bool]] = []
+        for name in names:
+            found += self.demands[name].list_amounts(self.kinds, resource)
+        amounts, relative = zip(*found, strict=True)
+        shape = len(names), len(self.kinds)
+        return np.array(amounts, float).reshape(shape), np.array(relative, bool).reshape(shape)
+
+
+def build_measured_rows(
+    fleet: Capacities, names: Sequence[str], kinds: Sequence[str], kind_of: NDArray[np.intp], weights: Weights
+) -> MeasuredRows:
+    """The demands of ``names`` in ``fleet``, nothing computed yet. ``kind_of``: by edge."""
+    edges = fleet.edges
+    raw = np.array([fleet.raw[name][:edges] for name in _HOST_NAMES])
+    usable = np.array([fleet.usable[name][:edges] for name in _HOST_NAMES])
+    columns = kind_of.tolist(), *fleet.raw.values(), *fleet.usable.values()
+    groups = group_edges(columns, edges)
+    first, group_of = list(groups.first), np.array(groups.expand(range(len(groups.first))), dtype=np.intp)
+    rows = len(_HOST_NAMES) + 1
+    return MeasuredRows(
+        demands=fleet.demands,
+        names=names,
+        index={name: number for number, name in enumerate(names)},
+        weights=weights,
+        kinds=kinds,
+        kind_of=kind_of[first],
+        raw=raw[:, first],
+        usable=usable[:, first],
+        spread=group_of + len(first) * np.arange(rows)[:, np.newaxis],
+        size=max(1, MAX_BLOCK // (rows * len(first))),
+    )

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What people try first, and no other test holds: rows of docs/conventions.md."""
+
+import json
+import os
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Run
+from tests.cli.terminal import Terminal
+from tests.executor.fake_fleet import FakeFleet
+
+DEMAND = "demand: {cpu: 0.1, memory: 1Mi, throughput: 0}"
+FLEET = "version: 1\nfleet: lab\nedges:\n  edge3: {host: edge3.lab}\n  edge2: {host: edge2.lab}\n  edge1: {host: edge1.lab}\n"
+TASKS = f"version: 1\nmin_dwell: 0s\ntasks:\n  zeta: {{command: sleep 9, {DEMAND}}}\n  yak: {{command: sleep 9, {DEMAND}}}\n"
+
+
+@pytest.fixture
+def hosts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run) -> FakeFleet:
+    """Three simulated edges of different load on which zeta and yak run, and the files of the fleet."""
+    fleet = FakeFleet.of(["edge3", "edge2", "edge1"])
+    for used, name in enumerate(("edge3", "edge2", "edge1")):
+        fleet[name].used = float(used)
+    monkeypatch.setattr("edgectl.transport.fleet_transport.FleetTransport", lambda **_: fleet.transport)
+    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
+    monkeypatch.chdir(tmp_path)
+    for name, text in (("inventories", FLEET), ("tasks", TASKS)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "lab.yaml").write_text(text)
+    assert run("apply", "--yes").code == 0
+    return fleet
+
+
+def test_describe_takes_a_kind_in_all_its_forms(hosts: FakeFleet, run: Run) -> None:
+    for words in ("edge edge2", "edges edge2", "e edge2", "edge/edge2", "edge edge/edge2"):
+        said = run("describe", *words.split(), "-o", "json")
+        assert (said.code, json.loads(said.out)["item"]["host"]) == (0, "edge2"), words
+    for words in ("task yak", "tasks yak", "t yak", "task/yak"):
+        said = run("describe", *words.split(), "-o", "json")
+        assert (said.code, json.loads(said.out)["item"]["task"]) == (0, "yak"), words
+    named = run("get", "tasks", "-o", "name").out.split()
+    assert [run("describe", name).code for name in named] == [0, 0]
+    assert run("describe", "edge/edge9").err.startswith("error: unknown edge 'edge9'")
+
+
+def test_top_is_sorted_and_cut_as_get_is(hosts: FakeFleet, run: Run) -> None:
+    order = ["edge3", "edge2", "edge1"]
+    said = run("top", "hosts", "--sort-by", "cpu.used_cores")
+    assert [line.split()[0] for line in said.out.splitlines()] == ["HOST", *order]
+    bare = run("top", "hosts", "--sort-by", "cpu.used_cores", "--no-headers")
+    assert [line.split()[0] for line in bare.out.splitlines()] == order
+    assert run("top", "--field", "host", "--sort-by", "cpu.used_cores").out.split() == order
+    items = json.loads(run("top", "hosts", "--sort-by", "cpu.used_cores", "-o", "json").out)["items"]
+    assert [item["host"] for item in items] == order
+    places = hosts.placed
+    found = run("top", "tasks", "--sort-by", "host", "--field", "task").out.split()
+    assert found == sorted(places, key=lambda task: places[task])
+    assert run("top", "tasks", "--no-headers").out.split()[0] == "yak"
+    unknown = run("top", "hosts", "--field", "cpu.usd_cores")
+    assert (unknown.code, unknown.err) == (
+        64,
+        "error: unknown key of -o json 'cpu.usd_cores'\nhint: did you mean cpu.used_cores?\n",
+    )
+    every = run("get", "hosts", "--field", "§")
+    assert "cpu.used_cores" in every.err
+    assert ".." not in every.err, "all keys are listed, not the first twelve"
+    assert run("top", "hosts", "-w", "--field", "host").code == 64
+
+
+def test_in_ci_nobody_is_asked_even_on_a_terminal(site: Path) -> None:
+    for value, asks in (("true", False), ("1", False), ("false", True)):
+        with Terminal(["stop", "--all"], site, env={**os.environ, "CI": value, "TERM": "xterm"}) as seen:
+            if asks:
+                continue
+            assert seen.wait() == 64
+            assert "CI is set: cannot ask for confirmation" in seen.seen
+
+
+def test_v_prints_requests_on_stderr_as_text_or_json(site: Path, run: Run) -> None:
+    plain, told = run("get", "edges", "-o", "name"), run("-v", "get", "edges", "-o", "name")
+    assert (plain.err, told.out) == ("", plain.out)
+    assert re.search(r"edge1.*probe", told.err)
+    lines = run("get", "edges", "-o", "name", "-v", "--log-format", "json").err.splitlines()
+    assert {"edge1", "edge2", "edge3"} <= {json.loads(line).get("host") for line in lines}
+
+
+def test_max_moves_and_a_selector_that_leaves_a_task_out(hosts: FakeFleet, run: Run) -> None:
+    """Both run where a third host is now far better: with --max-moves 0 none of them goes there by itself."""
+    for host in hosts.hosts.values():
+        host.used = 0.0 if host.name not in hosts.placed.values() else 3.5
+    free = run("plan", "-o", "json")
+    moves = [each["task"] for each in json.loads(free.out)["decisions"] if each["action"] == "move"]
+    assert moves
+    held = json.loads(run("plan", "--max-moves", "0", "-o", "json").out)
+    assert [each["task"] for each in held["decisions"] if each["action"] == "move"] == []
+    assert (held["options"]["max_moves"], held["options"]["attended"]) == (0, False)
+    left = run("plan", "-l", f"task!={moves[0]}", "-o", "json")
+    assert f"1 other change" in left.err or "other changes are left out" in left.err  # noqa: F541
+    counts = json.loads(run("plan", "-o", "gitlab").out)
+    assert counts == {"create": 0, "update": len(moves), "delete": 0}
+
+
+def test_a_report_of_the_doctor_to_paste(site: Path, run: Run) -> None:
+    said = run("doctor", "edge1", "-o", "markdown")
+    assert re.match(r"edgectl \d+\.\d+\.\d+, Python 3\.\d+\.\d+, Linux-", said.out)
+    assert "<details><summary>All checks</summary>" in said.out
+    assert said.out.count("```") == 2
+
+
+def test_a_comment_silences_a_warning_of_its_line_or_the_line_below(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lab.yaml").write_text(FLEET)
+
+    def list_codes(*lines: str) -> list[str]:
+        (tmp_path / "tasks.yaml").write_text(
+            "version: 1\ntasks:\n  zeta:\n" + "".join(f"    {line}\n" for line in lines)
+        )
+        said = run("validate", "-i", "lab.yaml", "-t", "tasks.yaml")
+        assert said.code == 0, said.err
+        return re.findall(r"warning\[(EC\d+)\]", said.err)
+
+    command, demand = "command: sleep 9 &", DEMAND
+    assert list_codes(command, demand) == ["EC106"]
+    assert list_codes(f"{command}  # edgectl: ignore EC106", demand) == []
+    assert list_codes("# edgectl: ignore EC101, EC106", command, demand) == []
+    assert list_codes(f"{command}  # edgectl: ignore EC101", demand) == ["EC106"]
+    assert list_codes(command, f"{demand}  # edgectl: ignore EC106") == ["EC106"]
+    (tmp_path / "lab.yaml").chmod(0o666)
+    (tmp_path / "lab.yaml").write_text("# edgectl: ignore EC104\n" + FLEET)
+    assert "EC104" in list_codes(f"{command}  # edgectl: ignore EC106, EC104", demand)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("report nosuch", "error: no run in nosuch: run.json not found\n"),
+        ("experiment show nosuch", "error: no run in nosuch: run.json not found\n"),
+        (
+            "-i X get hosts",
+            "error: No such option: -i\nhint: options follow the command: edgectl get -i X hosts\n",
+        ),
+        (
+            "-o json describe edge edge1",
+            "error: No such option: -o\nhint: options follow the command: edgectl describe edge -o json edge1\n",
+        ),
+    ],
+)
+def test_wrong_words_are_answered_with_64_and_the_right_ones(words: str, said: str, run: Run) -> None:
+    found = run(*words.split())
+    assert found.code == 64
+    assert said in found.err or said.splitlines()[0].removeprefix("error: ") in found.err
+
+
+def test_an_inventory_that_is_no_mapping_is_one_mistake(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    tasks = "".join(f"  t{number}: {{robot: robot1, command: sleep 9, {DEMAND}}}\n" for number in range(5))
+    (tmp_path / "tasks.yaml").write_text("version: 1\ntasks:\n" + tasks)
+    for text, codes in (
+        ("- edge1\n", ["EC010"]),
+        ("version: 1\n", ["EC011"]),
+        ("version: 1\nedges: {}\n", ["EC011"]),
+    ):
+        (tmp_path / "lab.yaml").write_text(text)
+        said = run("validate", "-i", "lab.yaml", "-t", "tasks.yaml")
+        assert (said.code, re.findall(r"error\[(EC\d+)\]", said.err)) == (64, codes), said.err
