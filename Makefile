@@ -28,6 +28,7 @@ WORKERS ?= 8
 test: style
 	@.ci/need-faults
 	@.ci/need-promtool
+	@.ci/need-schemas
 	@.ci/need-etcd
 	@.ci/need-docker
 	@.ci/need-shells
@@ -38,6 +39,7 @@ test: style
 PURE := config doctor experiments executor export formats fuzz gateway importers model rules scheduler simulation state tui usecases views web test_rooms.py
 test-fast: setup
 	@.ci/need-promtool
+	@.ci/need-schemas
 	@.ci/need-etcd
 	@$(PY) -m tests.suite $(PURE:%=tests/%) -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
 

@@ -104,6 +104,27 @@ def parse_rate(raw: object) -> float:
     return _parse_scaled(raw, units, "write rates as 12MB/s, 300kB/s or 96Mbit/s")
 
 
+def parse_gpus(raw: object) -> float:
+    """Graphics processors from ``0.5``, ``"50%"`` (of one) or ``2``."""
+    if is_percent(raw):
+        return parse_share(raw)
+    return _parse_scaled(raw, {"": 1.0}, "write shares of a GPU as 50% or 0.5")
+
+
+def parse_watts(raw: object) -> float:
+    """Watts from a number or a string such as ``15W`` or ``500mW``."""
+    return _parse_scaled(raw, {"": 1.0, "W": 1.0, "mW": 0.001}, "write watts as 15W or 500mW")
+
+
+def parse_charge(raw: object) -> float:
+    """A share of a full battery, at most 1, from ``0.2`` or ``"20%"``."""
+    forms = "write shares of a full battery as 20% or 0.2"
+    value = parse_share(raw) if is_percent(raw) else _parse_scaled(raw, {"": 1.0}, forms)
+    if value > 1:
+        raise QuantityError(f"is more than a full battery: {raw!r}", forms)
+    return value
+
+
 def is_percent(raw: object) -> bool:
     """Whether ``raw`` is written as a percentage."""
     return isinstance(raw, str) and raw.strip().endswith("%")
@@ -169,6 +190,37 @@ def format_rate(value: float) -> str:
 def format_cores(value: float) -> str:
     """Cores for people: ``0.52``, below a tenth in thousandths: ``3m``."""
     return f"{value * 1000:.0f}m" if abs(value) < 0.1 else f"{value:.2f}"
+
+
+def format_gpus(value: float) -> str:
+    """Graphics processors for people: ``0.50``."""
+    return f"{value:.2f}"
+
+
+def _format_gpus_in_text(value: float) -> str:
+    return f"{value:.2f} GPUs"
+
+
+def _format_gpus_for_file(value: float) -> str:
+    return _format_rounded_up(value)
+
+
+def format_watts(value: float) -> str:
+    """Watts for people: ``12.5W``."""
+    return f"{value:.1f}W"
+
+
+def _format_watts_for_file(value: float) -> str:
+    return _format_rounded_up(value) + "W"
+
+
+def format_charge(value: float) -> str:
+    """A share of a full battery for people: ``20%``."""
+    return f"{value:.0%}"
+
+
+def _format_charge_for_file(value: float) -> str:
+    return _format_rounded_up(value * 100) + "%"
 
 
 def format_cores_for_file(value: float) -> str:
@@ -260,4 +312,19 @@ BYTES_PER_S = Unit(
     name="bytes_per_s", example="12MB/s", pattern=RATE_PATTERN, parse=parse_rate,
     format=format_rate, format_in_text=format_rate,
     format_exact=format_rate, format_for_file=format_rate_for_file,
+)  # fmt: skip
+GPUS = Unit(
+    name="gpus", example="0.5", pattern=rf"{_NUMBER}\s*%?", parse=parse_gpus,
+    format=format_gpus, format_in_text=_format_gpus_in_text,
+    format_exact=_format_gpus_in_text, format_for_file=_format_gpus_for_file,
+)  # fmt: skip
+WATTS = Unit(
+    name="watts", example="10W", pattern=rf"{_NUMBER}\s*m?W?", parse=parse_watts,
+    format=format_watts, format_in_text=format_watts,
+    format_exact=format_watts, format_for_file=_format_watts_for_file,
+)  # fmt: skip
+CHARGE = Unit(
+    name="charge", example="5%", pattern=rf"{_NUMBER}\s*%?", parse=parse_charge,
+    format=format_charge, format_in_text=format_charge,
+    format_exact=format_charge, format_for_file=_format_charge_for_file,
 )  # fmt: skip

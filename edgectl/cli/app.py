@@ -124,6 +124,7 @@ COMMANDS = {
     "import paper": CommandEntry(
         "cli.import_", "Files", "Make tasks of a requirement file of the paper's authors."
     ),
+    "import compose": CommandEntry("cli.import_", "Files", "Make tasks of a compose file."),
     "export prometheus": CommandEntry(
         "cli.export", "Files", "Export measurements and decisions as Prometheus metrics."
     ),
@@ -135,6 +136,18 @@ COMMANDS = {
     ),
     "export systemd": CommandEntry(
         "cli.export_jobs", "Files", "Print systemd units that apply periodically, or watch."
+    ),
+    "export kubernetes": CommandEntry(
+        "cli.export_engines", "Files", "Print Kubernetes manifests of the tasks where the plan puts them."
+    ),
+    "export nomad": CommandEntry(
+        "cli.export_engines", "Files", "Print Nomad jobs of the tasks where the plan puts them."
+    ),
+    "export compose": CommandEntry(
+        "cli.export_engines", "Files", "Print a compose file of each host's tasks in the plan."
+    ),
+    "export bluechi": CommandEntry(
+        "cli.export_engines", "Files", "Print systemd units and BlueChi commands of the plan."
     ),
     "config view": CommandEntry(
         "cli.config", "Settings", "Show the settings in effect; with --origin, where each comes from."
@@ -152,7 +165,7 @@ GROUP_HELP: dict[str, str] = {
     "profilers": "Manage resident profilers on the hosts.",
     "counters": "Manage byte counters of the traffic with each robot, on the edges.",
     "import": "Import launch files and host lists of other tools.",
-    "export": "Export for cron, systemd, Prometheus, ROS, CSV and others.",
+    "export": "Export for cron, systemd, Prometheus, ROS, CSV, Kubernetes, Nomad and others.",
     "experiment": "Compare schemes on real hosts.",
     "simulate": "Simulate a mission under several schemes: simulate SCENARIO is simulate run SCENARIO.",
     "config": "Show and choose the settings of edgectl.yaml and of the user.",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""import ros, ssh, ansible and paper commands."""
+"""import ros, ssh, ansible, compose and paper commands."""
 
 import os
 from enum import StrEnum
@@ -148,6 +148,24 @@ def import_ansible_command(
     from edgectl.usecases.import_files import import_ansible
 
     _put(import_ansible(str(file)), out)
+
+
+def import_compose_command(
+    *,
+    file: Annotated[Path, Argument(metavar="FILE", help="Such as compose.yaml.", show_default=False)],
+    out: _OutOption = None,
+) -> None:
+    """Make tasks of a compose file: each service becomes a task with an image.
+
+    Variables of the file are filled in from the environment. What is not imported is named on stderr.
+
+    Examples:
+        edgectl import compose compose.yaml
+        edgectl import compose compose.yaml --out lab
+    """
+    from edgectl.usecases.import_files import import_compose
+
+    _put(import_compose(str(file)), out)
 
 
 def import_paper_command(

@@ -10,7 +10,7 @@ from edgectl.config.fields import (
 )
 from edgectl.config.node import Node
 from edgectl.config.problems import ProblemCode, Problems
-from edgectl.config.quantities import demand_parser
+from edgectl.config.quantities import absolute_demand_parser, demand_parser
 from edgectl.config.scalars import (
     INVALID,
     NodeReader,
@@ -24,7 +24,7 @@ from edgectl.config.schema import (
     get_reader_schema,
 )
 from edgectl.model.demand import Demand, Quantity
-from edgectl.model.resource import RESOURCES, TASK_RESOURCES
+from edgectl.model.resource import RESOURCES, TASK_RESOURCES, Resource
 
 MEASURED_WORD = "measured"
 MEASURED = Quantity(value=0.0, measured=True)
@@ -79,7 +79,13 @@ def _mark_measured(*, until_measured: Quantity) -> Quantity:
     return replace(until_measured, measured=True)
 
 
+def _build_demand_reader(resource: Resource) -> NodeReader:
+    """What no host can tell of one task is stated, and never as a share of a host."""
+    if not resource.optional:
+        return _demand_quantity_reader(demand_parser(resource.unit.parse, resource.unit.example))
+    return quantity_reader(absolute_demand_parser(resource.unit.parse))
+
+
 DEMAND_KEYS: Mapping[str, NodeReader] = {
-    resource.demand_key: _demand_quantity_reader(demand_parser(resource.unit.parse, resource.unit.example))
-    for resource in RESOURCES
+    resource.demand_key: _build_demand_reader(resource) for resource in RESOURCES
 }

@@ -19,6 +19,7 @@ from edgectl.config.fields import (
 )
 from edgectl.config.node import Node
 from edgectl.config.problems import Mark, ProblemCode, Problems
+from edgectl.config.quantities import parse_temperature
 from edgectl.config.ros_settings import build_ros_settings, read_ros
 from edgectl.config.scalars import (
     INVALID,
@@ -123,6 +124,7 @@ DEFAULTS_KEYS: Mapping[str, NodeReader] = {
     "password_command": read_argument_vector,
     "labels": read_labels,
     "limits": record_reader(LIMITS_KEYS, Limits, "limits"),
+    "max_temperature": quantity_reader(parse_temperature),
     "env": read_environment,
     "env_command": read_argument_vector,
     "prelude": read_text_or_empty,

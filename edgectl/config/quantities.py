@@ -3,12 +3,15 @@
 
 import re
 from collections.abc import Callable
+from math import nan
 
 from edgectl.config.schema import build_quantity_schema, describe_as, describe_reader, get_reader_schema
 from edgectl.model.demand import Quantity
 from edgectl.units import SHARE_PATTERN, QuantityError, is_percent, parse_share
 
 MAX_COST = 1e6
+# Bounds of the highest temperature that a host may be given.
+_LEAST_MAXIMUM_C, _MOST_MAXIMUM_C = 30.0, 120.0
 _NUMBER_PATTERN = re.compile(r"\s*([0-9]+(?:[.,][0-9]+)?)\s*([A-Za-z/%]*)\s*")
 _UNIT_SPELLINGS = {
     "min": "m",
@@ -118,6 +121,34 @@ def demand_parser(parse: Callable[[object], float], example: str) -> Callable[[o
 
     share = build_quantity_schema(SHARE_PATTERN, bare_numbers=False)
     return describe_reader(read, lambda: {"anyOf": [*get_reader_schema(parse)["anyOf"], share]})
+
+
+def absolute_demand_parser(parse: Callable[[object], float]) -> Callable[[object], Quantity]:
+    """Reads an absolute quantity by ``parse``."""
+    return describe_reader(lambda raw: Quantity(value=parse(raw)), lambda: get_reader_schema(parse))
+
+
+def parse_temperature(raw: object) -> float:
+    """Degrees Celsius from 30 to 120, from ``85`` or ``"85C"``."""
+    text = raw.strip().removesuffix("C") if isinstance(raw, str) else raw
+    try:
+        value = float(text) if isinstance(text, int | float | str) and not isinstance(raw, bool) else nan
+    except ValueError:
+        value = nan
+    if not _LEAST_MAXIMUM_C <= value <= _MOST_MAXIMUM_C:
+        raise QuantityError(f"must be degrees Celsius from 30 to 120, not {raw!r}", "write 85 or 85C")
+    return value
+
+
+describe_reader(
+    parse_temperature,
+    lambda: {
+        "anyOf": [
+            {"type": "number", "minimum": _LEAST_MAXIMUM_C, "maximum": _MOST_MAXIMUM_C},
+            {"type": "string", "pattern": r"^\s*[0-9]+(\.[0-9]+)?C?\s*$"},
+        ]
+    },
+)
 
 
 @describe_as(lambda: {"type": "number", "minimum": 0, "maximum": 1})

@@ -303,7 +303,7 @@ def _check_demand(draft: TaskDraft, problems: Problems) -> None:
         resource.demand_key
         for resource in RESOURCES
         if demand[resource.name] is None
-        and not resource.declared_only
+        and not resource.optional
         and (draft.robots or not resource.per_link)
         and not (isinstance(stated, dict) and resource.demand_key in stated)
     ]

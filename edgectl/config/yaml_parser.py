@@ -39,9 +39,9 @@ _FORBIDDEN_CHARACTER = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd
 _NUMERIC_START = frozenset("+-.0123456789")
 
 
-def parse_yaml(source: Source, problems: Problems) -> Node | None:
+def parse_yaml(source: Source, problems: Problems, *, merge_keys: bool = False) -> Node | None:
     """The document of a file, or None with the cause collected. Duplicate keys are collected and reading
-    continues.
+    continues. ``merge_keys``: files of another tool, in which ``<<`` is a key like others.
     """
     wrong = _FORBIDDEN_CHARACTER.search(source.text)
     if wrong is not None:
@@ -53,7 +53,7 @@ def parse_yaml(source: Source, problems: Problems) -> Node | None:
         )
         return None
     try:
-        return _NodeBuilder(source, problems).document()
+        return _NodeBuilder(source, problems, merge_keys=merge_keys).document()
     except _StopError as stop:
         problems.add(stop.mark, stop.code, str(stop), stop.hint)
     except yaml.YAMLError as error:
@@ -75,7 +75,8 @@ class _NodeBuilder:
     aliases.
     """
 
-    def __init__(self, source: Source, problems: Problems) -> None:
+    def __init__(self, source: Source, problems: Problems, *, merge_keys: bool) -> None:
+        self.merge_keys = merge_keys
         self.source = source
         self.problems = problems
         self.events: Iterator[YamlEvent] = yaml.parse(source.text, Loader=LOADER)
@@ -207,7 +208,7 @@ class _NodeBuilder:
                 f"tags such as {event.tag} are not supported",
                 "remove it",
             )
-        if event.value == "<<" and not event.style:
+        if event.value == "<<" and not event.style and not self.merge_keys:
             message = "merge keys (<<) are not supported"
             raise _StopError(
                 self.mark(event),

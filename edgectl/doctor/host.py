@@ -3,6 +3,7 @@
 
 from edgectl.doctor.containers import diagnose_engines
 from edgectl.doctor.disk import diagnose_disk
+from edgectl.doctor.hardware import diagnose_hardware
 from edgectl.doctor.ssh_command import format_ssh_command
 from edgectl.model.diagnosis import Finding, HostFacts, LinkFacts, Logind, Severity, ShellEnvironment
 from edgectl.model.inventory import Connection, Host, Inventory
@@ -24,6 +25,7 @@ def diagnose_host(host: Host, facts: HostFacts, inventory: Inventory) -> list[Fi
         _diagnose_logind(host, facts.logind),
         diagnose_disk(host.name, facts.disk),
         _diagnose_memory(host, facts),
+        *diagnose_hardware(host, facts.hardware),
         _diagnose_prelude(host, facts.surroundings),
         *diagnose_engines(host.name, facts.logind.user, facts.engines),
         *(_diagnose_robot_link(host, inventory.hosts[robot], link) for robot, link in facts.links.items()),

@@ -10,12 +10,15 @@ from edgectl.model.snapshot import Snapshot, UsageTotals
 
 
 class _Reading(NamedTuple):
-    """Counters of a host at one instant: CPU seconds, bytes (None: not counted), and memory in use."""
+    """Counters of a host at one instant: CPU seconds, bytes (None: not counted), memory in use, and the watts
+    that it draws (None: unknown, or shared with other hosts).
+    """
 
     at: float
     cpu_s: float
     network_bytes: float | None
     memory: float
+    watts: float | None
 
 
 class UsageCounters:
@@ -36,6 +39,7 @@ class UsageCounters:
                 cpu_s=self._count_cpu_s(name, sample.totals),
                 network_bytes=self._count(name, "network", sample.totals.network_bytes, known=True),
                 memory=sample.usage["memory"].used,
+                watts=None if sample.totals.cpu_s is None else sample.device.power_w,
             )
             self._readings.setdefault(name, []).append(reading)
 
@@ -81,8 +85,17 @@ def _compute_host_usage(readings: Sequence[_Reading], began: float, ended: float
         network_bytes=None
         if any(each.network_bytes is None for each in readings)
         else _interpolate_end([(each.at, each.network_bytes or 0.0) for each in readings], ended),
-        memory=_compute_mean_memory(readings, began, ended),
+        memory=_compute_mean([(each.at, each.memory) for each in readings], began, ended),
+        energy=_compute_energy(readings, began, ended),
     )
+
+
+def _compute_energy(readings: Sequence[_Reading], began: float, ended: float) -> float | None:
+    """Joules: the mean draw over the mission by its duration."""
+    points = [(each.at, each.watts) for each in readings if each.watts is not None]
+    if len(points) < len(readings):
+        return None
+    return _compute_mean(points, began, ended) * (ended - began)
 
 
 def _interpolate_end(points: Sequence[tuple[float, float]], ended: float) -> float:
@@ -96,13 +109,11 @@ def _interpolate_end(points: Sequence[tuple[float, float]], ended: float) -> flo
     return max(floor, after[1] - rate * (after[0] - ended))
 
 
-def _compute_mean_memory(readings: Sequence[_Reading], began: float, ended: float) -> float:
+def _compute_mean(readings: Sequence[tuple[float, float]], began: float, ended: float) -> float:
     """The time-weighted mean, linear between the readings of the mission; the nearest one counts before the
     first and after the last of them, since the readings around the mission are of idle hosts.
     """
-    inside = [(each.at, each.memory) for each in readings[1:] if each.at <= ended] or [
-        (each.at, each.memory) for each in readings[1:]
-    ]
+    inside = [each for each in readings[1:] if each[0] <= ended] or list(readings[1:])
     points = [(began, inside[0][1]), *inside, (max(ended, inside[-1][0]), inside[-1][1])]
     seconds = points[-1][0] - points[0][0]
     if seconds <= 0:

@@ -193,8 +193,15 @@ def _collect_trial_values(
         "gap": (compute_usable_mean(handoff.gap for handoff in trial.handoffs),),
         "cpu_s": (sum(each.cpu_s for each in trial.usage.values()) if trial.usage else None,),
         "air": (compute_usable_mean(_list_air_megabytes(trial, robots)),),
+        "energy": (_sum_energy(trial),),
         "unplaced": (float(trial.unplaced),),
     }
+
+
+def _sum_energy(trial: Trial) -> float | None:
+    """Kilojoules of all hosts together; None where one of them does not tell its own."""
+    known = [usage.energy for usage in trial.usage.values() if usage.energy is not None]
+    return sum(known) / 1000 if known and len(known) == len(trial.usage) else None
 
 
 def _list_air_megabytes(trial: Trial, robots: Collection[str]) -> list[float]:

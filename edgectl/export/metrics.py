@@ -142,6 +142,12 @@ METRICS = (
         read=metric_samples.sample_hosts(lambda host: host.device.temperature_c),
     ),
     MetricDefinition(
+        name="edgectl_host_draw_watts",
+        help="Power that the host draws, where its sensors tell.",
+        labels=_HOST_LABELS,
+        read=metric_samples.sample_hosts(lambda host: host.device.power_w),
+    ),
+    MetricDefinition(
         name="edgectl_host_clock_skew_seconds",
         help="Offset of the host's clock from the manager's, where known.",
         labels=_HOST_LABELS,

@@ -111,8 +111,9 @@ def compile_resource_map(kind: type[ResourceMap[Any]], item: Codec) -> Codec:
     """Values by the names of a table.
 
     One that is absent has its default where that is 0 or null, or where documents leave it out; else it must
-    be there.
+    be there. Where values may be null, a null in place of one that is left out counts.
     """
+    nullable = None in kind.DEFAULTS.values()
 
     def decode_map(raw: Any, path: FieldPath, faults: Faults) -> Any:  # noqa: ANN401
         if not is_type(raw, dict, path, faults):
@@ -121,6 +122,8 @@ def compile_resource_map(kind: type[ResourceMap[Any]], item: Codec) -> Codec:
         for name, default in kind.DEFAULTS.items():
             if raw.get(name) is not None:
                 values[name] = item.decode(raw[name], (*path, name), faults)
+            elif nullable and name in raw:
+                values[name] = None
             elif default and name not in kind.OMITTED:
                 report_absent(name, raw, path, faults)
         return kind(values)

@@ -31,7 +31,7 @@ class Amounts:
         may_be_unknown = (
             resource.per_link and self.value_type is None and not issubclass(self.kind, ResourceMap)
         )
-        return not (resource.declared_only or may_be_unknown)
+        return not (resource.optional or may_be_unknown)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ def _encode_amounts(member: Amounts, value: object, document: Document) -> None:
     amounts = getattr(value, member.name)
     for resource in member.resources:
         amount = amounts.get(resource.name)
-        if amount is None or (not amount and resource.declared_only):
+        if amount is None or (not amount and resource.optional):
             continue
         unit = resource.unit.name
         document[resource.name] = {

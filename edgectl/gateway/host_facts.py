@@ -21,6 +21,7 @@ from edgectl.gateway.replies import (
 from edgectl.model.diagnosis import (
     Disk,
     EngineFacts,
+    HardwareFacts,
     HostFacts,
     LinkFacts,
     Logind,
@@ -72,6 +73,7 @@ def decode_host_facts(document: ReplyDocument, context: ReplyContext, asked: Sen
         used_bytes=reply.memory.used_bytes,
         surroundings=ShellEnvironment(**_to_fields(reply.surroundings)),
         ros=RosFacts(**_to_fields(reply.ros)),
+        hardware=HardwareFacts(**_to_fields(reply.hardware)),
         links={
             robot: _build_link_facts(robot, address, reply.links.get(robot, RouteReply()), context)
             for robot, address in asked.addresses.items()

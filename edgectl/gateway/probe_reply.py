@@ -24,7 +24,7 @@ from edgectl.gateway.replies import (
 )
 from edgectl.gateway.task_reply import build_generations, build_task_samples, separate_standbys
 from edgectl.model.inventory import Host, Role
-from edgectl.model.resource import HOST_RESOURCES, Resource
+from edgectl.model.resource import HOST_RESOURCES, POWER, Resource
 from edgectl.model.snapshot import (
     CapacitySource,
     DeviceSample,
@@ -102,7 +102,7 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
         links=_build_links(reply, context, tasks) if context.host.role is Role.EDGE else {},
         tasks=active,
         standbys=standbys,
-        device=_build_device(reply, context.answered_at),
+        device=_build_device(reply, document, context.answered_at),
         generations=build_generations(reply, active),
         grant=reply.grants.epoch,
         foreign_grant=_find_foreign_grant(reply.grants, context.manager_id),
@@ -189,7 +189,7 @@ def _decode_usages(
     return {
         resource.name: _decode_usage(document, host, tasks, resource)
         for resource in HOST_RESOURCES
-        if not resource.declared_only or _get_declared(host, resource)
+        if not resource.optional or _is_known(document, host, resource)
     }
 
 
@@ -203,12 +203,19 @@ def _decode_usage(
     found = document.get(name)
     device = decode_reply(DEVICE_USAGE[name], {} if found is None else found, name)
     used = getattr(device, resource.used_key)
-    if resource.declared_only:
-        return ResourceUsage(capacity=declared, used=used)
+    if resource.optional:
+        own = declared if resource.budget else getattr(device, resource.capacity_key)
+        return ResourceUsage(capacity=declared or own, used=host.base[name] if host.is_slice else used)
     if host.is_slice:
         own = sum(task.used[name] for task in _select_alive(tasks))
         return ResourceUsage(capacity=declared, used=host.base[name] + own)
     return ResourceUsage(capacity=getattr(device, resource.capacity_key), used=used)
+
+
+def _is_known(document: ReplyDocument, host: Host, resource: Resource) -> bool:
+    """Whether the host has a resource that few have: declared, or measured where it is no slice."""
+    measured = not (resource.budget or host.is_slice) and document.get(resource.name) is not None
+    return measured or _get_declared(host, resource) > 0
 
 
 def _get_declared(host: Host, resource: Resource) -> float:
@@ -279,12 +286,15 @@ def select_link_capacity(
     return ASSUMED_BYTES_PER_S, CapacitySource.ASSUMED
 
 
-def _build_device(reply: ProbeReply, answered_at: float) -> DeviceSample:
-    """Figures that are shown and never used to decide; of the host's clock only the skew."""
+def _build_device(reply: ProbeReply, document: ReplyDocument, answered_at: float) -> DeviceSample:
+    """Figures that are shown; of them only the temperature decides, where a limit of it is stated."""
+    power = document.get(POWER.name)
+    drawn = decode_reply(DEVICE_USAGE[POWER.name], power, POWER.name) if power else None
     return DeviceSample(
         load_1m=reply.load_1m,
         temperature_c=reply.temperature_c,
         gpu_share=None if reply.gpu_share is None else min(reply.gpu_share, 1.0),
+        power_w=None if drawn is None else getattr(drawn, POWER.used_key),
         boot_id=reply.boot_id,
         clock_skew_s=None if reply.wall is None else reply.wall - answered_at,
         interfaces={name: _build_interface(each) for name, each in reply.interfaces.items()},

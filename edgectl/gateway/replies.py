@@ -218,7 +218,7 @@ PROFILER_USAGE = _make_usage(
 )
 DEVICE_USAGE = {
     resource.name: _make_usage("DeviceUsage", {resource.used_key: Amount}, default=0.0)
-    if resource.declared_only
+    if resource.budget
     else _make_usage("DeviceUsage", {resource.capacity_key: Capacity, resource.used_key: Amount})
     for resource in HOST_RESOURCES
 }
@@ -295,6 +295,17 @@ class RosReply:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class HardwareReply:
+    """What a host has that few have, as ``model.diagnosis.HardwareFacts``."""
+
+    gpus: Amount = 0.0
+    gpu_total_bytes: Amount = 0.0
+    used_watts: Amount | None = None
+    used_charge: Amount | None = None
+    temperature_c: Reading | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RouteReply:
     """The way to a robot, as ``model.diagnosis.LinkFacts``."""
 
@@ -325,6 +336,7 @@ class DoctorReply:
     logind: LogindReply = LogindReply()
     surroundings: ShellReply = ShellReply()
     ros: RosReply = RosReply()
+    hardware: HardwareReply = HardwareReply()
     links: Annotated[Mapping[Text, RouteReply], ALONE] = field(default_factory=dict)
     engines: Annotated[Mapping[Text, EngineReply], ALONE] | None = None
 

@@ -13,7 +13,7 @@ from edgectl.dataclass import dataclass
 from edgectl.model.encoding import Bounds, Instant, Positive, Signed, SignedInt, in_document
 from edgectl.model.policy import Policy
 from edgectl.model.predicted_latency import PredictedLatency
-from edgectl.model.resource import LATENCY, RATING, TERMS, Resource, ResourceMap, Usage
+from edgectl.model.resource import RATING, SPARE_TERMS, TERMS, Resource, ResourceMap, Usage
 from edgectl.model.standby_plan import StandbyStep
 
 
@@ -141,13 +141,14 @@ NO_RATING = 0.5
 class UtilityTerms(ResourceMap[Signed | None]):
     """UT_k of every resource (eqs. 1-3), UT_task, UT_latency and UT_rating.
 
-    At most 1, negative where overcommitted, None without capacity. UT_latency: 1 where nothing is predicted.
-    UT_rating: 0.5 where no plugin rates the host.
+    At most 1, negative where overcommitted, None without capacity. UT_latency: 1 where nothing is predicted;
+    of an optional resource: 1 where the host is not limited by it. UT_rating: 0.5 where no plugin rates the
+    host.
     """
 
     __slots__ = ()
-    DEFAULTS = dict.fromkeys(TERMS, None) | {LATENCY: 1.0, RATING: NO_RATING}
-    OMITTED = frozenset({LATENCY, RATING})
+    DEFAULTS = dict.fromkeys(TERMS, None) | dict.fromkeys(SPARE_TERMS, 1.0) | {RATING: NO_RATING}
+    OMITTED = SPARE_TERMS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -124,6 +124,19 @@ class RosFacts:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class HardwareFacts:
+    """What a host has that few have: GPUs and their memory, draw in watts, what is gone of its battery (0..1)
+    and its temperature. None: it cannot be read.
+    """
+
+    gpus: float = 0.0
+    gpu_total_bytes: float = 0.0
+    used_watts: float | None = None
+    used_charge: float | None = None
+    temperature_c: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class EngineFacts:
     """A container engine of a host: its version, or the ``error`` for which it runs nothing."""
 
@@ -150,6 +163,7 @@ class HostFacts:
     used_bytes: float
     surroundings: ShellEnvironment = ShellEnvironment()
     ros: RosFacts = RosFacts()
+    hardware: HardwareFacts = HardwareFacts()
     links: Mapping[str, LinkFacts] = field(default_factory=dict)
     engines: Mapping[str, EngineFacts] | None = None
 

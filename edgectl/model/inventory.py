@@ -70,6 +70,7 @@ class Host:
 
     ``fleet`` is the owner of what this inventory runs there: requests carry it, and the host keeps the tasks
     of different fleets apart. ``ros``: what its nodes need to find others; None where nothing is known of it.
+    ``max_temperature`` (degrees Celsius): near it the host has fewer usable cores.
 
     ``host`` is an address or an ssh_config alias. A declared ``capacity`` of what is measured otherwise makes
     the host a slice: its load is ``base`` plus its own process trees. ``onboard`` (robots) makes the robot a
@@ -90,6 +91,7 @@ class Host:
     password_command: tuple[str, ...] = ()
     labels: Mapping[str, str] = field(default_factory=dict)
     limits: Limits = Limits()
+    max_temperature: float | None = None
     capacity: Capacity | None = None
     base: BaseLoad = BaseLoad()
     env: Mapping[str, str] = field(default_factory=dict)

@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 from edgectl.dataclass import dataclass
 from edgectl.model.encoding import in_document
-from edgectl.model.resource import AFFINITY, LATENCY, RATING, RESOURCES, TERMS, ResourceMap
+from edgectl.model.resource import AFFINITY, RESOURCES, SPARE_TERMS, TERMS, ResourceMap
 
 
 class PolicyName(StrEnum):
@@ -57,7 +57,7 @@ class Weights(ResourceMap[float]):
 
     __slots__ = ()
     DEFAULTS = _share_evenly(*_PRESET_RESOURCES, AFFINITY)
-    OMITTED = frozenset({LATENCY, RATING})
+    OMITTED = SPARE_TERMS
 
     def normalised(self) -> "Weights":
         """The same proportions with sum 1.

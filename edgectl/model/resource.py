@@ -1,18 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The resources of the paper (k in {cpu, memory, network}) and the terms of eq. (4): one table.
+"""The resources (k in {cpu, memory, network} in the paper, and more) and the terms of eq. (4): one table.
 
 Whatever is the same for every resource reads this table: files, documents, ledger, equations (1) to (3),
 weights, history, tables. Amounts are in the resource's own unit. docs/contributing/add-a-term.md adds a row.
 """
 
 from collections.abc import Mapping
+from math import inf
 from types import MappingProxyType
 from typing import Any, ClassVar, NoReturn, Self, TypeVar
 
 from edgectl.dataclass import dataclass
-from edgectl.units import BYTES, BYTES_PER_S, CORES, Unit
+from edgectl.units import BYTES, BYTES_PER_S, CHARGE, CORES, GPUS, WATTS, Unit
 
 Value = TypeVar("Value")
+# Capacity of a host without the thing: what demands none of it has room, whatever demands some has none.
+NOTHING = 1e-200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,9 +25,11 @@ class Resource:
     ``name``: its key in inventory files and documents, its weight, its term. ``demand_key``: its key in
     ``demand`` of a task file. ``capacity_key`` and ``used_key``: the amounts in documents. ``compressible``:
     a task that gets less of it is slower, not dead. ``per_link``: it belongs to the link of an edge and a
-    robot, not to a host. ``in_presets``: weighed by the presets ``all`` and ``resources``. ``declared_only``:
-    its capacity is a budget in the inventory; a host that states none is not limited by it. ``noise``: what
-    readings of one task vary by, in its unit, however large the host.
+    robot, not to a host. ``in_presets``: weighed by the presets ``all`` and ``resources``. ``optional``:
+    few hosts have it, and no host can tell the share of one task in it, which is taken to use its demand.
+    ``budget``: its capacity is stated in the inventory and never measured. ``absent``: capacity of a host
+    that has none: infinite where it is then not limited, `NOTHING` where no demand fits. ``noise``:
+    what readings of one task vary by, in its unit, however large the host.
     """
 
     name: str
@@ -35,11 +40,18 @@ class Resource:
     compressible: bool
     per_link: bool = False
     in_presets: bool = True
-    declared_only: bool = False
+    optional: bool = False
+    budget: bool = False
+    absent: float = inf
     noise: float = 0.0
 
     def __str__(self) -> str:
-        return self.name
+        return self.name.replace("_", " ")
+
+    @property
+    def title(self) -> str:
+        """Its name in headings."""
+        return str(self).upper()
 
     def __hash__(self) -> int:
         return hash(self.name)
@@ -71,12 +83,55 @@ NETWORK = Resource(
     compressible=True,
     per_link=True,
 )
-RESOURCES = (CPU, MEMORY, NETWORK)
+GPU = Resource(
+    name="gpu",
+    unit=GPUS,
+    capacity_key="gpus",
+    used_key="used_gpus",
+    demand_key="gpu",
+    compressible=True,
+    in_presets=False,
+    optional=True,
+    absent=NOTHING,
+)
+GPU_MEMORY = Resource(
+    name="gpu_memory",
+    unit=BYTES,
+    capacity_key="gpu_total_bytes",
+    used_key="gpu_used_bytes",
+    demand_key="gpu_memory",
+    compressible=False,
+    in_presets=False,
+    optional=True,
+    absent=NOTHING,
+)
+POWER = Resource(
+    name="power",
+    unit=WATTS,
+    capacity_key="budget_watts",
+    used_key="used_watts",
+    demand_key="power",
+    compressible=True,
+    in_presets=False,
+    optional=True,
+    budget=True,
+)
+BATTERY = Resource(
+    name="battery",
+    unit=CHARGE,
+    capacity_key="full_charge",
+    used_key="used_charge",
+    demand_key="battery",
+    compressible=True,
+    in_presets=False,
+    optional=True,
+)
+RESOURCES = (CPU, MEMORY, NETWORK, GPU, GPU_MEMORY, POWER, BATTERY)
 HOST_RESOURCES = tuple(resource for resource in RESOURCES if not resource.per_link)
 # Those whose use by one task can be measured.
-TASK_RESOURCES = tuple(resource for resource in RESOURCES if not resource.declared_only)
-# Those of which a host measures its own use and that of its tasks.
-MEASURED_HOST_RESOURCES = tuple(resource for resource in HOST_RESOURCES if not resource.declared_only)
+TASK_RESOURCES = tuple(resource for resource in RESOURCES if not resource.optional)
+# Those of which every host measures its own use and that of its tasks.
+MEASURED_HOST_RESOURCES = tuple(resource for resource in HOST_RESOURCES if not resource.optional)
 RESOURCES_BY_NAME: Mapping[str, Resource] = MappingProxyType(
     {resource.name: resource for resource in RESOURCES}
 )
@@ -87,6 +142,8 @@ LATENCY = "latency"
 # The term that plugins give (ADR 149), weighed only on request.
 RATING = "rating"
 TERMS = (*RESOURCES_BY_NAME, AFFINITY, LATENCY, RATING)
+# Terms that documents leave out at their default: few fleets have them.
+SPARE_TERMS = frozenset({LATENCY, RATING, *(resource.name for resource in RESOURCES if resource.optional)})
 
 
 class ResourceMap(dict[str, Value]):

@@ -205,6 +205,7 @@ class DeviceSample:
     load_1m: float | None = None
     temperature_c: Signed | None = None
     gpu_share: float | None = None
+    power_w: float | None = None
     boot_id: str = ""
     clock_skew_s: Signed | None = None
     interfaces: Mapping[str, InterfaceSample] = field(default_factory=dict)

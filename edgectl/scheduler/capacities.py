@@ -11,7 +11,7 @@ from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Rejection, RejectionRule
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
-from edgectl.model.resource import HOST_RESOURCES, Resource
+from edgectl.model.resource import CPU, GPU, HOST_RESOURCES, NOTHING, Resource
 from edgectl.model.snapshot import HostSample, Snapshot
 from edgectl.names import natural_key
 from edgectl.rules.slack import compute_slack
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 # Readings older than this are not trusted with new work.
 MAX_SAMPLE_AGE_S = 60.0
+# Capacities of an optional resource that make no place differ from another for what demands none of it.
+_LIMITLESS = frozenset((0.0, inf, NOTHING))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,7 +39,8 @@ class Capacities:
     ``demands`` holds rho by class, of the tasks whose history decides it;
     ``history`` is what was measured. ``floors``: by running task, the measured usage below which its demand
     does not count at any place (ADR 0060). ``noise``: of the readings by host and resource, as shares of the
-    capacity, where it widens the slack.
+    capacity, where it widens the slack. ``counted``: the resources of hosts that limit some place; of the
+    others every term is 1.
     """
 
     places: tuple[Host, ...]
@@ -56,6 +59,7 @@ class Capacities:
     history: Mapping[tuple[str, str], MeasuredDemand] = field(default_factory=dict)
     floors: Mapping[str, TaskUsage] = field(default_factory=dict)
     noise: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    counted: tuple[str, ...] = tuple(resource.name for resource in HOST_RESOURCES)
 
     def get_slack(self, resource: Resource, place: int) -> float:
         """The share of Delta by which ``resource`` may be exceeded at ``place`` (ADR 61, ADR 83)."""
@@ -102,7 +106,10 @@ def build_capacities(
         samples=samples,
         raw=raw,
         usable={
-            name: tuple(capacity * host.limits[name] for capacity, host in zip(row, places, strict=True))
+            name: tuple(
+                _limit_capacity(capacity, host, sample, name)
+                for capacity, host, sample in zip(row, places, samples, strict=True)
+            )
             for name, row in raw.items()
         },
         links={robot: tuple(map(itemgetter(0), row)) for robot, row in links.items()},
@@ -114,6 +121,11 @@ def build_capacities(
             if host.name in manager.draining or host.name in without
         ),
         noise=manager.noise,
+        counted=tuple(
+            resource.name
+            for resource in HOST_RESOURCES
+            if not resource.optional or not _LIMITLESS.issuperset(raw[resource.name])
+        ),
     )
 
 
@@ -121,11 +133,21 @@ def _resolve_capacity(host: Host, sample: HostSample | None, resource: Resource)
     if sample is None or not sample.ok:
         return 0.0
     declared = host.capacity[resource.name] if host.capacity is not None else 0.0
-    if resource.declared_only:
-        return declared or inf
-    if resource.name not in sample.usage:
-        return 0.0
-    return declared or sample.usage[resource.name].capacity
+    seen = sample.usage.get(resource.name)
+    none = resource.absent if resource.optional else 0.0
+    return none if seen is None else declared or seen.capacity
+
+
+def _limit_capacity(capacity: float, host: Host, sample: HostSample | None, resource: str) -> float:
+    """What is usable of ``capacity`` under the limits of ``host``, of which heat takes a part."""
+    if capacity == NOTHING:
+        return capacity
+    usable = capacity * host.limits[resource]
+    if host.max_temperature is None or resource not in (CPU.name, GPU.name):
+        return usable
+    from edgectl.rules.heat import compute_cool_share
+
+    return usable * compute_cool_share(host, sample)
 
 
 def _list_links(

@@ -165,7 +165,7 @@ def _build_resource_demand(
     """``quantities``: as stated, and as it counts at ``place``."""
     stated, counted = quantities
     value = (counted or ZERO).of(capacity)
-    if resource.declared_only or (stated is not None and not stated.measured):
+    if resource.optional or (stated is not None and not stated.measured):
         return ResourceDemand(resource=resource, value=value, source=DemandSource.DECLARED)
     history = fleet.history.get((task.name, fleet.classes[place])) if fleet.classes else None
     return ResourceDemand(

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 from edgectl.model.assignment import Rejection, RejectionRule
 from edgectl.model.inventory import Host
-from edgectl.model.resource import NETWORK, RESOURCES, Resource
+from edgectl.model.resource import NETWORK, NOTHING, RESOURCES, Resource
 from edgectl.model.snapshot import HostSample
 from edgectl.model.task import OnboardRule, Task
 from edgectl.scheduler.capacities import Capacities
@@ -88,7 +88,10 @@ def _compute_term(
     robot: str | None = None,
 ) -> float | None:
     """One term; a shortage is added to ``rejections``."""
-    utility = resource_utility(capacity, used, demand) if capacity > 0 else None
+    if capacity == NOTHING:
+        utility, capacity = (None, 0.0) if demand > 0 else (1.0, capacity)
+    else:
+        utility = resource_utility(capacity, used, demand) if capacity > 0 else None
     if utility is None or utility < -EPSILON:
         rule = RejectionRule.NO_CAPACITY if utility is None else RejectionRule.INSUFFICIENT
         rejections.append(

@@ -323,9 +323,7 @@ def _release_copies(
     for copy in copies:
         if copy.sample.state.alive:
             use = compute_measured_usage(fleet, copy.sample, task, copy.place)
-            kept = {
-                name: used for name, used in use.used.items() if not RESOURCES_BY_NAME[name].declared_only
-            }
+            kept = {name: used for name, used in use.used.items() if not RESOURCES_BY_NAME[name].optional}
             builder.ledger.release(copy.place, replace(use, used=kept))
 
 

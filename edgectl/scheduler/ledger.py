@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from edgectl.model.assignment import ExpectedLoad
 from edgectl.model.demand import ZERO, Quantity
 from edgectl.model.policy import Weights
-from edgectl.model.resource import CPU, HOST_RESOURCES, NETWORK, Usage
+from edgectl.model.resource import CPU, HOST_RESOURCES, NETWORK, NOTHING, Usage
 from edgectl.model.snapshot import HostSample, TaskSample
 from edgectl.model.task import Task
 from edgectl.scheduler.capacities import Capacities
@@ -28,7 +28,8 @@ class Ledger:
     """gamma: ``used`` by resource and place, ``links`` (bytes/s) by robot and edge.
 
     ``free`` and ``free_links`` hold (Delta - gamma) / Delta of the same, kept in step; so does ``weighted``,
-    the sum of weight x free share over the resources of each place, once ``weigh_free`` has named weights.
+    the sum of weight x free share over the resources of each place, once ``weigh_free`` has named weights, of
+    which ``weighed`` are those that are not 0.
     ``tasks`` counts those that make gamma, by place. ``mirror`` holds the free shares as arrays, for fleets
     of very many pairs (ADR 0076); a copy has none.
     """
@@ -40,6 +41,7 @@ class Ledger:
     free_links: dict[str, list[float]]
     tasks: list[int]
     weights: Weights | None = None
+    weighed: tuple[tuple[str, float], ...] = ()
     weighted: list[float] = field(default_factory=list)
     mirror: "FreeArrays | None" = None
 
@@ -90,6 +92,7 @@ class Ledger:
         """Sum of weight x free share over the resources of hosts, by place."""
         if self.weights is not weights:
             self.weights = weights
+            self.weighed = tuple((name, weights[name]) for name in self.free if weights[name])
             self.weighted = [0.0] * len(self.fleet.places)
             for place in range(len(self.fleet.places)):
                 self._weigh(place)
@@ -98,8 +101,8 @@ class Ledger:
     def _weigh(self, place: int) -> None:
         if self.weights is not None:
             total = 0.0
-            for name, row in self.free.items():
-                total += self.weights[name] * row[place]
+            for name, weight in self.weighed:
+                total += weight * self.free[name][place]
             self.weighted[place] = total
             if self.mirror is not None:
                 self.mirror.set_weighted(place, total)
@@ -129,9 +132,9 @@ class Ledger:
 def compute_free_share(capacity: float | None, used: float) -> float:
     """(Delta - gamma) / Delta: the utility before the demand is taken off.
 
-    Far below 0 without capacity, 1 without a limit.
+    Far below 0 without capacity, 1 without a limit, or where there is nothing of the kind.
     """
-    if capacity == inf:
+    if capacity in (inf, NOTHING):
         return 1.0
     return (capacity - used) / capacity if capacity else NO_FREE_SHARE
 
@@ -234,7 +237,7 @@ def compute_measured_usage(fleet: Capacities, sample: TaskSample, task: Task | N
     links = {robot: rate for robot, rate in rates.items() if place < fleet.edges and robot in fleet.links}
     used = {
         resource.name: _get_demand(fleet, task, place, resource.name)
-        if resource.declared_only
+        if resource.optional
         else sample.used[resource.name]
         for resource in HOST_RESOURCES
     }

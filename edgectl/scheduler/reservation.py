@@ -76,9 +76,7 @@ def _list_floors(
         used = {
             resource: amount
             for resource, amount in there.use.used.items()
-            if resource in least
-            and not RESOURCES_BY_NAME[resource].declared_only
-            and amount > least[resource]
+            if resource in least and not RESOURCES_BY_NAME[resource].optional and amount > least[resource]
         }
         links = (
             {

@@ -5,7 +5,7 @@ Its reference is ``feasibility``; tests compare the two. A row holds one number 
 shares: UT = free share - demanded share, one row operation per resource.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import lt, sub
 from typing import Any, NamedTuple
@@ -109,7 +109,8 @@ class DemandShares:
     def _group_hosts(self) -> EdgeGroups:
         fleet = self.fleet
         if self.groups is None:
-            columns = fleet.classes, *fleet.raw.values(), *fleet.usable.values()
+            rows = (each[name] for each in (fleet.raw, fleet.usable) for name in fleet.counted)
+            columns = fleet.classes, *rows
             self.groups = group_edges(columns, fleet.edges)
         return self.groups
 
@@ -130,17 +131,23 @@ class DemandShares:
     def of_weighted(self, task: Task, weights: Weights) -> Row:
         """Sum of weight x (d / Delta) over the resources of hosts at every edge, under one policy."""
         if task.name in self.fleet.floors:
-            return _add_weighted([self.of_host(task, name) for name in _HOST_NAMES], weights)
+            return self._add_weighted(task, weights)
         if task.name in self.fleet.demands:
             groups = self._group_hosts()
-            shares = [self._list_measured_shares(task, name, groups) for name in _HOST_NAMES]
-            return groups.expand(_add_weighted(shares, weights))
+            shares = {
+                name: self._list_measured_shares(task, name, groups) for name in _HOST_NAMES if weights[name]
+            }
+            return groups.expand(_add_weighted(shares, weights, len(groups.first)))
         key = _build_key(task, *_HOST_NAMES)
         row = self.weighted.get(key)
         if row is None:
-            row = _add_weighted([self.of_host(task, name) for name in _HOST_NAMES], weights)
+            row = self._add_weighted(task, weights)
             self._keep(self.weighted, key, row)
         return row
+
+    def _add_weighted(self, task: Task, weights: Weights) -> Row:
+        rows = {name: self.of_host(task, name) for name in _HOST_NAMES if weights[name]}
+        return _add_weighted(rows, weights, self.fleet.edges)
 
     def of_link(self, task: Task, robot: str) -> Row:
         """D / Delta of every edge's link to ``robot``."""
@@ -210,10 +217,10 @@ def _divide(amount: float, capacity: float | None) -> float:
     return amount / capacity if capacity else 0.0
 
 
-def _add_weighted(rows: Sequence[Row], weights: Weights) -> list[float]:
-    """The sum of weight x share over ``rows``, one for each resource of hosts."""
-    total = [0.0] * len(rows[0])
-    for name, row in zip(_HOST_NAMES, rows, strict=True):
+def _add_weighted(rows: Mapping[str, Row], weights: Weights, edges: int) -> list[float]:
+    """The sum of weight x share over ``rows``, one for each resource of hosts that is weighed."""
+    total = [0.0] * edges
+    for name, row in rows.items():
         weight = weights[name]
         total = [so_far + weight * share for so_far, share in zip(total, row, strict=True)]
     return total
@@ -242,6 +249,14 @@ class ResourceRows(NamedTuple):
 
     free: Row
     demanded: Row
+
+
+def list_limiting_resources(fleet: Capacities, task: Task) -> Sequence[str]:
+    """The resources of hosts that limit some place, and those that only ``task`` demands."""
+    counted = fleet.counted
+    if len(counted) == len(_HOST_NAMES):
+        return counted
+    return [name for name in _HOST_NAMES if name in counted or task.demand[name] is not None]
 
 
 def _find_link_rows(ledger: Ledger, shares: DemandShares, task: Task) -> ResourceRows:
@@ -284,10 +299,10 @@ def compute_resource_totals(
 
 
 def _list_resource_rows(ledger: Ledger, shares: DemandShares, task: Task) -> list[ResourceRows]:
-    """The rows of every resource of hosts, and of the links as the last."""
+    """The rows of every resource of hosts that may limit the task, and of the links as the last."""
     rows = [
-        ResourceRows(ledger.free[resource.name], shares.of_host(task, resource.name))
-        for resource in HOST_RESOURCES
+        ResourceRows(ledger.free[name], shares.of_host(task, name))
+        for name in list_limiting_resources(ledger.fleet, task)
     ]
     rows.append(_find_link_rows(ledger, shares, task))
     return rows

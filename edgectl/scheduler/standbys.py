@@ -120,7 +120,7 @@ def compute_standby_usage(fleet: Capacities, case: StandbyCase, place: int) -> T
     used = {}
     for resource in HOST_RESOURCES:
         stated = case.rule.demand[resource.name]
-        if stated is None and not resource.compressible and not resource.declared_only:
+        if stated is None and not resource.compressible and not resource.optional:
             stated = demand_at(fleet, case.task, place)[resource.name]
         amount = (stated or ZERO).of(fleet.raw[resource.name][place])
         used[resource.name] = max(amount, case.floor.get(resource.name, 0.0))
@@ -185,7 +185,7 @@ def _measure_floor(how: PlacementPass, alive: Sequence[FoundInstance]) -> dict[s
     return {
         resource.name: max(each.sample.used[resource.name] for each in counted)
         for resource in HOST_RESOURCES
-        if not resource.declared_only and (counted := typical if resource.compressible else alive)
+        if not resource.optional and (counted := typical if resource.compressible else alive)
     }
 
 

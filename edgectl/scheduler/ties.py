@@ -4,7 +4,7 @@
 from collections.abc import Sequence
 
 from edgectl.model.policy import Preference
-from edgectl.model.resource import AFFINITY, RESOURCES
+from edgectl.model.resource import AFFINITY, NETWORK
 from edgectl.scheduler.candidates import CandidateSet, resource_terms_at
 from edgectl.scheduler.utility import EPSILON
 
@@ -28,7 +28,8 @@ def order_tied_places(candidates: CandidateSet, places: Sequence[int]) -> list[i
 def _rank_free_shares(candidates: CandidateSet, places: Sequence[int]) -> dict[int, int]:
     """The rank of each place by the sum of its resource terms; empty where equal totals imply equal sums."""
     weights = candidates.context.policy.weights
-    alike = {weights[resource.name] for resource in RESOURCES}
+    counted = (*candidates.context.fleet.counted, NETWORK.name)
+    alike = {weights[name] for name in counted}
     if len(alike) == 1 and 0.0 not in alike and (not candidates.located or not weights[AFFINITY]):
         return {}
     sums = {place: _sum_resource_terms(candidates, place) for place in places}

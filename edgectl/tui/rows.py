@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from edgectl.model.inventory import Inventory
 from edgectl.model.point import HostPoint, TaskPoint
-from edgectl.model.resource import CPU, HOST_RESOURCES, TASK_RESOURCES, Resource
+from edgectl.model.resource import CPU, MEASURED_HOST_RESOURCES, TASK_RESOURCES, Resource
 from edgectl.model.snapshot import HostSample, LinkSample, ResourceUsage, Snapshot, TaskSample
 from edgectl.model.task import Task, Tasks
 from edgectl.names import natural_key
@@ -57,18 +57,18 @@ class TopRow:
 
 
 # Of the CPU a table shows amounts and, of a task, its last samples; of the others one figure.
-_OTHER_HOST_RESOURCES = tuple(each for each in HOST_RESOURCES if each is not CPU)
+_OTHER_HOST_RESOURCES = tuple(each for each in MEASURED_HOST_RESOURCES if each is not CPU)
 _OTHER_TASK_RESOURCES = tuple(each for each in TASK_RESOURCES if each is not CPU)
-HOST_ORDERS = ("name", *(each.name for each in HOST_RESOURCES), "tasks")
+HOST_ORDERS = ("name", *(each.name for each in MEASURED_HOST_RESOURCES), "tasks")
 TASK_ORDERS = ("name", "host", *(each.name for each in TASK_RESOURCES), "age")
 HOST_TITLES = (
     "HOST", "STATUS", "CPU", "",
-    *(title for each in _OTHER_HOST_RESOURCES for title in (f"{each.name.upper()}%", "")), "TASKS",
+    *(title for each in _OTHER_HOST_RESOURCES for title in (f"{each.title}%", "")), "TASKS",
 )  # fmt: skip
 LINK_TITLES = ("LINK", "USE", "USED", "CAPACITY", "RTT", "TASKS")
 LINK_ORDER = "use"
 TASK_TITLES = (
-    "TASK", "HOST", "STATE", "AGE", "CPU/DEMAND", "", *(each.name.upper() for each in _OTHER_TASK_RESOURCES),
+    "TASK", "HOST", "STATE", "AGE", "CPU/DEMAND", "", *(each.title for each in _OTHER_TASK_RESOURCES),
 )  # fmt: skip
 
 
@@ -91,7 +91,7 @@ def build_host_rows(frame: Frame, width: int, *, unicode: bool) -> list[TopRow]:
             for name, host in frame.snapshot.hosts.items()
         ]
 
-    return lines(_compute_spare_columns(lines(0), HOST_TITLES, width) // len(HOST_RESOURCES))
+    return lines(_compute_spare_columns(lines(0), HOST_TITLES, width) // len(MEASURED_HOST_RESOURCES))
 
 
 def _compute_spare_columns(lines: Sequence[TopRow], titles: Sequence[str], width: int) -> int:
@@ -108,7 +108,7 @@ def compute_table_widths(lines: Iterable[TopRow], titles: Sequence[str]) -> list
 def _build_host_row(name: str, host: HostSample, frame: Frame, room: int, *, unicode: bool) -> TopRow:
     points = frame.host_points.get(name, ())
     closed = format_operator_mark(name, frame.snapshot.manager)
-    shares = {each.name: _get_share(host.usage.get(each.name)) or 0.0 for each in HOST_RESOURCES}
+    shares = {each.name: _get_share(host.usage.get(each.name)) or 0.0 for each in MEASURED_HOST_RESOURCES}
     count = sum(task.state.alive for task in host.tasks.values())
     status = (
         Cell(closed or "ok", "warn" if closed else "good")
@@ -120,7 +120,7 @@ def _build_host_row(name: str, host: HostSample, frame: Frame, room: int, *, uni
         status,
         *(
             cell
-            for each in HOST_RESOURCES
+            for each in MEASURED_HOST_RESOURCES
             for cell in (
                 _render_host_usage(each, host.usage.get(each.name)),
                 _render_share_history(each, points, room, unicode=unicode),

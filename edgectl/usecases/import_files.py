@@ -14,6 +14,7 @@ from edgectl.config.source import read_source
 from edgectl.config.yaml_parser import parse_yaml
 from edgectl.errors import InputError, Problem, UsageError
 from edgectl.importers.ansible_inventory import read_ansible_hosts
+from edgectl.importers.compose_file import build_compose_tasks
 from edgectl.importers.host_lists import ImportedHost, build_inventory
 from edgectl.importers.launch_group import add_launch_file
 from edgectl.importers.launch_values import Launch, Workspace
@@ -119,6 +120,25 @@ def import_paper(path: str) -> Imported:
     problems.check()
     if made is None:
         raise UsageError(f"{path} is empty")
+    return finish_import(name, render_file(made.inventory), render_file(made.tasks), launch.notes)
+
+
+def import_compose(path: str) -> Imported:
+    """Make tasks of the services of a compose file, and an inventory of this machine.
+
+    Raises:
+        InputError: everything that is wrong with it.
+    """
+    problems = Problems()
+    launch = Launch(problems=problems)
+    source = _read_file(path, problems)
+    root = parse_yaml(source, problems, merge_keys=True) if source is not None else None
+    problems.check()
+    name = to_host_name(Path(path).name.partition(".")[0])
+    if root is None:
+        raise UsageError(f"{path} is empty")
+    made = build_compose_tasks(root, Path(path).name, name_fleet(name), os.environ, problems, launch)
+    problems.check()
     return finish_import(name, render_file(made.inventory), render_file(made.tasks), launch.notes)
 
 

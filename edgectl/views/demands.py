@@ -75,7 +75,7 @@ def _render_demand_row(
 
 
 def _render_demand_cell(rho: ResourceDemand | None, run: TaskSample | None) -> Cell:
-    if rho is None or (rho.resource.declared_only and not rho.value):
+    if rho is None or (rho.resource.optional and not rho.value):
         return Cell("-")
     now = _format_usage_now(rho, run)
     style = "bad" if rho.demanded is not None else _SOURCE_STYLES[rho.source]
@@ -103,7 +103,7 @@ def render_reservations(value: Plan, look: RenderOptions = PLAIN) -> str:
         (
             *head("host"),
             *(
-                Cell(f"{resource.name.upper()} {word}", "head")
+                Cell(f"{resource.title} {word}", "head")
                 for resource in MEASURED_HOST_RESOURCES
                 for word in _AMOUNTS
             ),

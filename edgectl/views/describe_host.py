@@ -10,7 +10,8 @@ from edgectl.model.inventory import Host, Inventory
 from edgectl.model.resource import HOST_RESOURCES
 from edgectl.model.snapshot import HostSample, InterfaceSample, ResourceUsage, Snapshot
 from edgectl.model.task import Tasks
-from edgectl.units import format_duration, format_instant, format_rate
+from edgectl.rules.heat import describe_heat
+from edgectl.units import format_duration, format_instant, format_rate, format_watts
 from edgectl.views.describe import Field, format_pairs, render_events_section, render_fields, render_section
 from edgectl.views.glossary import head
 from edgectl.views.other_tasks import render_other_task_rows
@@ -102,7 +103,7 @@ def _list_host_fields(stated: Host, sample: HostSample | None, value: Snapshot) 
         ),
         ("Labels", format_pairs(stated.labels)),
         ("Capacity", _format_host_capacity(stated, sample)),
-        ("Limits", _format_limits(stated)),
+        ("Limits", _format_limits(stated, sample)),
         ("Onboard", "candidate for its own tasks" if stated.onboard else ""),
         ("Runtime", stated.runtime.value),
         ("Prelude", stated.prelude),
@@ -123,13 +124,16 @@ def _list_connection_fields(stated: Host) -> list[Field]:
     return [("Connection", ", ".join([stated.connection.value, *parts]))]
 
 
-def _format_limits(stated: Host) -> str:
+def _format_limits(stated: Host, sample: HostSample | None) -> str:
     known: Mapping[str, float] = stated.capacity or {}
-    return ", ".join(
-        f"{each.name} {stated.limits[each.name]:.0%}"
+    heat = describe_heat(stated, sample)
+    hottest = "" if stated.max_temperature is None else f", max {stated.max_temperature:.0f}C"
+    shares = ", ".join(
+        f"{each} {stated.limits[each.name]:.0%}"
         for each in HOST_RESOURCES
-        if known.get(each.name) or not each.declared_only
+        if known.get(each.name) or not each.optional or stated.limits[each.name] != 1
     )
+    return shares + hottest + (f" (now {heat})" if heat else "")
 
 
 def _format_host_capacity(stated: Host, sample: HostSample | None) -> str:
@@ -145,7 +149,7 @@ def _format_amounts(amounts: Mapping[str, float]) -> str:
     return ", ".join(
         resource.unit.format_in_text(amounts[resource.name])
         for resource in HOST_RESOURCES
-        if amounts.get(resource.name) or (resource.name in amounts and not resource.declared_only)
+        if amounts.get(resource.name) or (resource.name in amounts and not resource.optional)
     )
 
 
@@ -155,6 +159,7 @@ def _format_device(sample: HostSample) -> str:
         "load": None if device.load_1m is None else f"{device.load_1m:.2f}",
         "temperature": None if device.temperature_c is None else f"{device.temperature_c:.0f}C",
         "gpu": None if device.gpu_share is None else f"{device.gpu_share:.0%}",
+        "power": None if device.power_w is None else format_watts(device.power_w),
         "clock": None if device.clock_skew_s is None else _format_clock_skew(device.clock_skew_s),
         "boot": device.boot_id[:8] or None,
     }

@@ -342,9 +342,9 @@ def _render_usage_rows(sample: TaskSample, demand: Amounts) -> list[Row]:
     rows: list[Row] = []
     for resource in RESOURCES:
         name, show = resource.name, resource.unit.format
-        if resource.declared_only and name not in demand:
+        if resource.optional and name not in demand:
             continue
-        used = "-" if resource.declared_only else show(sample.used[name])
+        used = "-" if resource.optional else show(sample.used[name])
         if resource.per_link:
             used = format_traffic(used, sample.partial)
         difference = render_difference(excess.get(name), demand.get(name), show)

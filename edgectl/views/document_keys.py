@@ -18,8 +18,9 @@ _LINK_SAMPLE = (
     "nominal_bytes_per_s", "used_source", "partial",
 )  # fmt: skip
 _HOST = (
-    "host", "role", "address", "connection", "labels", "limits", "onboard", "taken_at", "status", "error",
-    "hint", "sample_age_s", "resident", "counters", *(resource.name for resource in HOST_RESOURCES), "links",
+    "host", "role", "address", "connection", "labels", "limits", "max_temperature_c", "onboard", "taken_at",
+    "status", "error", "hint", "sample_age_s", "resident", "counters",
+    *(resource.name for resource in HOST_RESOURCES), "links",
     "task_names", "other_tasks", "foreign_tasks", "device", "mark",
 )  # fmt: skip
 _ABSENT_TASK = ("task", "host", "taken_at", "state", "contacted_at", "managed", "pin")
@@ -116,7 +117,7 @@ INNER_KEYS: KeysByName = {
             f"{amount}_{resource.unit.name}"
             for amount in ("used", "demand", "excess", "capacity")
             if not (resource.per_link and amount == "capacity")
-            and not (resource.declared_only and amount == "excess")
+            and not (resource.optional and amount == "excess")
         )
         for resource in RESOURCES
     },
@@ -127,7 +128,7 @@ INNER_KEYS: KeysByName = {
     "other_tasks": _OTHER_TASK,
     "foreign_tasks": _OTHER_TASK,
     "declared": ("amount", "relative", "until_measured"),
-    "device": ("load_1m", "temperature_c", "gpu_share", "boot_id", "clock_skew_s", "interfaces"),
+    "device": ("load_1m", "temperature_c", "gpu_share", "power_w", "boot_id", "clock_skew_s", "interfaces"),
     "events": _EVENT,
     "flips": ("change", "term", "host", "robot", "amount", "unit", "size", "winner", "moves_first"),
     "moves_first": ("task", "host", "amount"),

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 
 from edgectl.dataclass import dataclass
-from edgectl.model.resource import AFFINITY, CPU, LATENCY, RATING, RESOURCES, TERMS, Resource
+from edgectl.model.resource import AFFINITY, CPU, RESOURCES, SPARE_TERMS, TERMS, Resource
 from edgectl.views.text import Cell, Row
 
 
@@ -73,10 +73,9 @@ _AMOUNTS = {
 def _describe_amounts() -> dict[str, str]:
     return {
         f"{amount}_{resource.unit.name}": text.format(resource.name)
-        for resource in RESOURCES
+        for resource in reversed(RESOURCES)  # memory names bytes, not the memory of a GPU
         for amount, text in _AMOUNTS.items()
-        if not (resource.per_link and amount == "capacity")
-        and not (resource.declared_only and amount == "excess")
+        if not (resource.per_link and amount == "capacity") and not (resource.optional and amount == "excess")
     }
 
 
@@ -90,7 +89,7 @@ def _list_amount_headings() -> dict[str, str]:
     """``CPU``, ``CPU DEMAND``, ``CPU EXCESS`` and ``CPU%``, and the term of the utility."""
     headings: dict[str, str] = {}
     for resource in RESOURCES:
-        title, unit = resource.name.upper(), resource.unit.name
+        title, unit = resource.title, resource.unit.name
         headings |= {
             f"{resource.name}.used_{unit}": title,
             f"{resource.name}.demand_{unit}": f"{title} DEMAND",
@@ -293,6 +292,8 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "ssim": "structural similarity of two maps, -1 to 1",
         "std": "standard deviation",
         "temperature_c": "highest temperature",
+        "max_temperature_c": "temperature near which a host has fewer usable cores",
+        "power_w": "power that a host draws, in watts",
         "there": "utility of a term on the runner-up",
         "total": "utility of the chosen host",
         "transfer_s": "time until a state was on the new host",
@@ -526,24 +527,20 @@ HEADINGS = _list_amount_headings() | {
 }
 
 
-# A budget that no host declares, or a latency that is not weighed, has no column, weight or limit there.
-_SPARE_TERMS = {resource.name for resource in RESOURCES if resource.declared_only} | {LATENCY, RATING}
-
-
 def head(*columns: str) -> Row:
     """The headings of ``columns``; an empty name is a column without one."""
     return tuple(Cell(HEADINGS[column] if column else "", _get_heading_style(column)) for column in columns)
 
 
 def _get_heading_style(column: str) -> str:
-    return "spare" if _SPARE_TERMS & set(column.split(".")) else "head"
+    return "spare" if SPARE_TERMS & set(column.split(".")) else "head"
 
 
 def head_of_resource(resource: Resource) -> Cell:
     """The heading of a column with the usage of ``resource``."""
-    return Cell(resource.name.upper(), _get_heading_style(resource.name))
+    return Cell(resource.title, _get_heading_style(resource.name))
 
 
 def list_shown_weights(weights: Mapping[str, float]) -> dict[str, float]:
     """The weights without those of budgets and of the latency that are not weighed."""
-    return {name: weight for name, weight in weights.items() if weight or name not in _SPARE_TERMS}
+    return {name: weight for name, weight in weights.items() if weight or name not in SPARE_TERMS}

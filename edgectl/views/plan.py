@@ -355,7 +355,7 @@ def render_legend(steps: Iterable[Step], look: RenderOptions = PLAIN) -> str:
     """What the symbols and the columns of the wide form mean."""
     used = dict.fromkeys(step.action for step in steps)
     symbols = ", ".join(f"{each.symbol} {_SYMBOL_WORDS.get(each, each.value)}" for each in used)
-    terms = ", ".join(resource.name.upper() for resource in RESOURCES)
+    terms = ", ".join(resource.title for resource in RESOURCES if not resource.optional)
     lines = [
         f"Symbols: {symbols}." if symbols else "",
         f"{terms}: share of the host or link that is free with the task there; below 0, what it lacks.",

@@ -89,7 +89,7 @@ def _render_expected_load_row(name: str, load: ExpectedLoad, sample: HostSample 
                 usage[resource.name].capacity if resource.name in usage else None,
                 resource.unit.format(load.used[resource.name]),
             )
-            if resource.name in usage or load.used[resource.name] or not resource.declared_only
+            if resource.name in usage or load.used[resource.name] or not resource.optional
             else Cell("-")
             for resource in HOST_RESOURCES
         ),

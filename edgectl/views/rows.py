@@ -4,7 +4,7 @@
 from edgectl.formats.document import Document, without_none
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.manager_state import ManagerState, Pin
-from edgectl.model.resource import HOST_RESOURCES, RESOURCES, TASK_RESOURCES
+from edgectl.model.resource import HOST_RESOURCES, RESOURCES, SPARE_TERMS, TASK_RESOURCES
 from edgectl.model.snapshot import DeviceSample, HostSample, LinkSample, Snapshot, TaskSample
 from edgectl.model.task import Task, Tasks
 from edgectl.units import format_instant
@@ -30,7 +30,10 @@ def _encode_declarations(stated: Host) -> Document:
         "address": stated.host,
         "connection": stated.connection.value,
         "labels": dict(stated.labels),
-        "limits": dict(stated.limits),
+        "limits": {
+            name: limit for name, limit in stated.limits.items() if limit != 1 or name not in SPARE_TERMS
+        },
+        "max_temperature_c": stated.max_temperature,
         "onboard": stated.onboard if stated.role.value == "robot" else None,
     }
 
@@ -96,6 +99,7 @@ def _encode_device(device: DeviceSample) -> Document:
         load_1m=device.load_1m,
         temperature_c=device.temperature_c,
         gpu_share=device.gpu_share,
+        power_w=device.power_w,
         boot_id=device.boot_id or None,
         clock_skew_s=device.clock_skew_s,
         interfaces=interfaces or None,

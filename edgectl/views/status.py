@@ -289,7 +289,7 @@ def _render_usage_cells(sample: TaskSample, demand: Amounts) -> list[str]:
     cells = []
     for resource in RESOURCES:
         # No host tells what one task takes of a declared budget.
-        used = sample.used[resource.name] if sample.state.alive and not resource.declared_only else None
+        used = sample.used[resource.name] if sample.state.alive and not resource.optional else None
         cells += [
             format_or_dash(used, resource.unit.format),
             format_or_dash(demand.get(resource.name), resource.unit.format),

@@ -9,6 +9,7 @@ from edgectl.model.inventory import Host, Inventory, Limits
 from edgectl.model.point import HostPoint
 from edgectl.model.resource import CPU, HOST_RESOURCES, Resource
 from edgectl.model.snapshot import HostSample, Snapshot
+from edgectl.rules.heat import describe_heat
 from edgectl.units import format_instant, format_rate
 from edgectl.views.glossary import get_flat_used_key, head
 from edgectl.views.output import ListView
@@ -148,7 +149,7 @@ def _format_used_of_capacity(sample: HostSample, resource: Resource) -> str:
 
 
 def _list_over_limit_notes(value: Snapshot, inventory: Inventory) -> list[str]:
-    """One line for each host that uses more than its limits."""
+    """A line for each resource of which a host uses more than its limit, and for each host that is hot."""
     lines = []
     for name, sample in value.hosts.items():
         host = inventory.hosts.get(name)
@@ -160,6 +161,8 @@ def _list_over_limit_notes(value: Snapshot, inventory: Inventory) -> list[str]:
             for what, (part, limit) in parts.items()
             if part > limit
         ]
+        heat = describe_heat(host, sample)
+        lines += [f"{name} is {heat}"] if heat else []
     return lines
 
 

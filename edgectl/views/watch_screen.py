@@ -32,7 +32,7 @@ from edgectl.views.watch_cycle import WatchTally, add_cycle_to_tally
 # Of the CPU the screen shows the last cycles, of the others a bar.
 _OTHER_HOST_RESOURCES = tuple(each for each in HOST_RESOURCES if each is not CPU)
 _HOST_HEAD: Row = ("HOST", "STATUS", "CPU", "", *map(head_of_resource, _OTHER_HOST_RESOURCES), "TASKS")
-_TASK_HEAD = ("", "TASK", "HOST", "STATE", *(each.name.upper() for each in TASK_RESOURCES), "DECISION")
+_TASK_HEAD = ("", "TASK", "HOST", "STATE", *(each.title for each in TASK_RESOURCES), "DECISION")
 _TASK_RIGHT_COLUMNS = frozenset(range(4, 4 + len(TASK_RESOURCES)))
 _KEY_HELP = "q quit   p plan now   a pause"
 _HIGH_SHARE = 0.9

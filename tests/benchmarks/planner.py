@@ -19,6 +19,7 @@ from edgectl.model.demand import ZERO, Demand
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.policy import Policy
+from edgectl.model.resource import TASK_RESOURCES
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Tasks
 from tests.builders import (
@@ -120,8 +121,10 @@ def digest_decisions(assignment: Assignment) -> str:
         f"{each.task} {each.verdict.value} {each.reason.value} {each.subject} {each.host} {each.challenger} {each.total!r} {each.lead!r}"
         for each in assignment.decisions
     ]
+    names = [resource.name for resource in TASK_RESOURCES]
     lines += [
-        f"{host} {dict(load.used)!r} {dict(load.links)!r}" for host, load in assignment.expected.items()
+        f"{host} { {name: load.used[name] for name in names}!r} {dict(load.links)!r}"
+        for host, load in assignment.expected.items()
     ]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
 

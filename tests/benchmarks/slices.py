@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Probe to plan of a fleet of slices of this machine: ``python -m tests.benchmarks.slices [N ..]``.
+"""Probe to plan of a fleet of slices of this machine: ``python -m tests.benchmarks.slices [--apply] [N ..]``.
 
 ``edgectl plan`` from its start to its last byte, of N slices and as many tasks. Each slice is a host of its own
 for edgectl, with its own login and its own request; all logins are on one OpenSSH server on loopback, so the
-machine does the work of manager and of all hosts.
+machine does the work of manager and of all hosts. With ``--apply`` the tasks are started and stopped, too.
 """
 
 import json
@@ -66,8 +66,17 @@ def measure_fleet(lab: Lab, directory: Path, size: int) -> None:
     print(f"{size:>6} {whole:>12.1f} {whole / size * 1000:>9.1f} {cpu:>14.1f} {paper:>22.1f}", flush=True)
 
 
+def measure_apply(directory: Path, size: int) -> None:
+    """Print what start and stop of one task on each slice take."""
+    for words in (("apply", "--yes"), ("stop", "--all", "--yes")):
+        output, whole, cpu = run_edgectl(directory, *words, "-o", "json")
+        assert output
+        print(f"{size:>6} {words[0]:>6} {whole:>10.1f} s {cpu:>10.2f} s of CPU on the manager", flush=True)
+
+
 def main(arguments: Sequence[str]) -> int:
-    sizes = [int(text) for text in arguments] or list(SIZES)
+    applied = "--apply" in arguments
+    sizes = [int(text) for text in arguments if text.isdigit()] or list(SIZES)
     print(f"yardstick: {measure_yardstick():.2f} s, load {os.getloadavg()[0]:.1f}")
     print(f"{'slices':>6} {'plan, s':>12} {'ms/slice':>9} {'manager CPU, s':>14} {'plan --snapshot, s':>22}")
     with (
@@ -76,6 +85,8 @@ def main(arguments: Sequence[str]) -> int:
     ):
         for size in sizes:
             measure_fleet(lab, Path(directory) / str(size), size)
+            if applied:
+                measure_apply(Path(directory) / str(size), size)
     print(f"yardstick: {measure_yardstick():.2f} s, load {os.getloadavg()[0]:.1f}")
     return 0
 

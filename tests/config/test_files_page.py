@@ -31,11 +31,13 @@ from edgectl.experiments.files import experiment_file, run_codec, scenario_file
 from edgectl.formats.kinds import PLAN_KIND, SNAPSHOT_KIND
 from edgectl.model.inventory import Host, Role
 from edgectl.model.latency import LatencySample
+from edgectl.model.resource import HOST_RESOURCES
 from edgectl.model.snapshot import (
     DeviceSample,
     HostSample,
     InterfaceSample,
     OtherTask,
+    ResourceUsage,
     TaskSample,
     TaskState,
     TermRatings,
@@ -146,11 +148,11 @@ def test_keys_of_a_snapshot_are_complete() -> None:
         load_1m=1.0,
         temperature_c=1.0,
         gpu_share=1.0,
+        power_w=1.0,
         boot_id="b",
         clock_skew_s=1.0,
         interfaces={"eth0": InterfaceSample(rx_bytes_per_s=1, tx_bytes_per_s=1)},
     )
-    host = SNAPSHOT.hosts["edge1"]
     other = OtherTask(fleet="f", host="h", task="t", state=TaskState.READY)
     sample = HostSample(
         role=Role.EDGE,
@@ -158,7 +160,7 @@ def test_keys_of_a_snapshot_are_complete() -> None:
         error="e",
         error_kind="k",
         hint="h",
-        usage=host.usage,
+        usage={resource.name: ResourceUsage(capacity=1.0, used=0.5) for resource in HOST_RESOURCES},
         tasks={"t": everything},
         standbys={"t": everything},
         generations={"t": 2},

@@ -52,7 +52,10 @@ def test_every_code_is_described() -> None:
 def test_codes_and_roots_in_any_form_and_the_keys_below() -> None:
     assert find_reference("ec101") == find_reference("EC101")
     for word in ("edge.limits", "robots.limits", "hosts.limits"):
-        assert [key.name for key in find_reference(word).keys] == ["host.limits.cpu", "host.limits.memory"]
+        assert [key.name for key in find_reference(word).keys] == [
+            "host.limits.cpu", "host.limits.memory", "host.limits.gpu", "host.limits.gpu_memory", "host.limits.power",
+            "host.limits.battery",
+        ]  # fmt: skip
     words = ("slam-robot1", "task", "EC1", "v1.2", "task.up", "check.clock")
     assert [is_reference_word(word) for word in words] == [False, False, False, False, True, True]
     with pytest.raises(UsageError) as refused:

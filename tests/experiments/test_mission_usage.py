@@ -8,7 +8,7 @@ import pytest
 
 from edgectl.experiments.mission_usage import UsageCounters
 from edgectl.experiments.model.experiment import MissionUsage
-from edgectl.model.snapshot import Snapshot, UsageTotals
+from edgectl.model.snapshot import DeviceSample, Snapshot, UsageTotals
 from tests.builders import NOW, a_sample, silent
 
 
@@ -100,3 +100,26 @@ def test_memory_is_that_of_the_mission_and_not_of_the_idle_hosts_around_it() -> 
 
 def test_a_host_that_answered_once_has_no_usage() -> None:
     assert compute_usage(a_snapshot(0.0, zeta=of_host(1.0)), ended=5.0) == {}
+
+
+def a_drawing_snapshot(at: float, **watts: float | None) -> Snapshot:
+    """A snapshot in which hosts draw so many watts; None: no sensor tells."""
+    snapshot = a_snapshot(at, 0.0, **dict.fromkeys(watts, of_host(at)))
+    hosts = {
+        name: replace(sample, device=DeviceSample(power_w=watts[name]))
+        for name, sample in snapshot.hosts.items()
+    }
+    return replace(snapshot, hosts=hosts)
+
+
+def test_energy_is_the_mean_draw_by_the_time_of_the_mission() -> None:
+    """10 W until 2 s, 30 W from 4 s to the end at 5 s; 90 W before the mission do not count."""
+    given = ((0.0, 90.0), (2.0, 10.0), (4.0, 30.0), (6.0, 80.0))
+    found = compute_usage(*(a_drawing_snapshot(at, zeta=watts) for at, watts in given), ended=5.0)
+    assert found["zeta"].energy == pytest.approx(2 * 10 + 2 * 20 + 1 * 30)
+
+
+def test_a_host_that_tells_no_draw_at_times_has_no_energy() -> None:
+    given = ((0.0, 10.0), (2.0, None), (4.0, 10.0))
+    found = compute_usage(*(a_drawing_snapshot(at, zeta=watts) for at, watts in given), ended=4.0)
+    assert found["zeta"].energy is None

@@ -30,6 +30,7 @@ from tests.builders import (
 DEVICE = DeviceSample(
     temperature_c=51.5,
     gpu_share=0.25,
+    power_w=12.5,
     clock_skew_s=-0.5,
     interfaces={
         "eth0": InterfaceSample(rx_bytes_per_s=100.0, tx_bytes_per_s=10.0),

@@ -112,6 +112,7 @@ devices = st.builds(
     load_1m=optional_of(amounts),
     temperature_c=optional_of(signed),
     gpu_share=optional_of(amounts),
+    power_w=optional_of(amounts),
     boot_id=texts,
     clock_skew_s=optional_of(signed),
     interfaces=dictionaries_of(interfaces),

@@ -79,6 +79,7 @@ DEVICE = DeviceSample(
     load_1m=1.0,
     temperature_c=-2.0,
     gpu_share=0.5,
+    power_w=12.5,
     boot_id="b",
     clock_skew_s=-1.5,
     interfaces={"eth0": INTERFACE},

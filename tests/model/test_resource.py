@@ -35,8 +35,8 @@ def test_a_map_of_complete_values_is_like_any_other() -> None:
 
 
 def test_an_unknown_name_is_refused() -> None:
-    with pytest.raises(TypeError, match="Limits has no gpu"):
-        Limits(gpu=0.5)
+    with pytest.raises(TypeError, match="Limits has no disk"):
+        Limits(disk=0.5)
 
 
 @pytest.mark.parametrize("change", ["__setitem__", "__delitem__", "update", "setdefault", "pop", "clear"])

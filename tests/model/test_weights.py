@@ -41,7 +41,7 @@ def test_what_can_be_written(raw: object, expected: Weights) -> None:
         ("", "unknown weights ''"),
         ("cpu=x", "weight cpu must be a number, got 'x'"),
         ("cpu=.5,cpu=.5", "weight cpu is given twice"),
-        ("gpu=1", "unknown weight 'gpu'"),
+        ("disk=1", "unknown weight 'disk'"),
         ({"cpu": -1}, "weight cpu must be a finite number, 0 or more"),
         ({"cpu": math.nan}, "weight cpu must be a finite number, 0 or more"),
         ({"cpu": 10**400}, "weight cpu is too large"),

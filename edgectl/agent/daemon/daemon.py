@@ -86,6 +86,7 @@ class ProfilerDaemon:
         self.udp = UdpMeter()
         self.counted: "CounterMeter | None" = None
         self.wireless = network.start_radio_meter()
+        self.hardware = device.start_hardware_meter()
         self.rates: "Document | None" = None
         self.number = 0
         self.cost, self.spent, self.begun, self.next_look = (
@@ -191,7 +192,7 @@ class ProfilerDaemon:
             "speeds": {name: network.read_interface_speed(name) for name in network.read_interface_bytes()},
             "wireless": {} if self.wireless is None else self.wireless.measure(),
             "temperature_c": device.read_temperature_c(),
-            "gpu_share": device.read_gpu_share(),
+            "hardware": device.measure_hardware(self.hardware),
         }
         self.counted = self.counted or network.start_counter_meter(state_dir.get_fleet(), addresses)
         # Limits of the control group may have changed.

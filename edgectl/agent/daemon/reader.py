@@ -47,7 +47,7 @@ def _build_measurements(request: Document, sample: Document, age: float) -> Docu
         "cpu": {"cores": levels["cores"], "used_cores": round(min(levels["cores"], used), 4)},
         "memory": device.read_memory(),
         "temperature_c": levels["temperature_c"],
-        "gpu_share": levels["gpu_share"],
+        **levels["hardware"],
         "interfaces": {
             name: network.build_interface_entry(
                 rate, levels["speeds"].get(name), levels["wireless"].get(name)

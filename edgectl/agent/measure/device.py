@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Device profiler: CPU and memory, capacity and usage, and load, temperature and GPU where the host shows
-them.
+"""Device profiler: CPU and memory, capacity and usage, and load and temperature where the host shows them.
 
 Reads /proc and /sys, which is what psutil reads, and imports psutil only where they leave something open: its
 import costs more CPU than the rest of a probe. The document is the same.
@@ -15,6 +14,9 @@ from . import cgroup, proc
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from types import ModuleType
+    from typing import Any
+
+    from .hardware import HardwareMeter
 
 # Idle columns of /proc/stat: idle and iowait. guest and guest_nice (the last two) are included in user and
 # nice.
@@ -23,6 +25,7 @@ _BUSY_COLUMNS = 8
 # Jetson: /sys/devices/gpu.0/load (JetPack 4), platform/17000000.gpu/load (5),
 # platform/bus@0/17000000.gpu/load (6).
 _GPU_FOLDERS = ("/sys/devices", "/sys/devices/platform", "/sys/devices/platform/bus@0")
+_HARDWARE_FOLDERS = ("/sys/class/hwmon", "/sys/class/powercap", "/sys/class/power_supply")
 
 
 def find_psutil_folder() -> "str | None":
@@ -142,32 +145,37 @@ def read_load_1m() -> float:
     return float(proc.read_file("/proc/loadavg").split()[0])
 
 
-def read_temperature_c() -> "float | None":
+def read_temperature_c(root: str = "") -> "float | None":
     """Read the hottest plausible sensor in degrees Celsius; None where the host shows none."""
-    texts = [_read_text(path) for path in _list_sensor_files()]
-    found = [int(text) / 1000.0 for text in texts if text.lstrip("-").isdigit()]
+    texts = [(path, proc.read_text(path)) for path in _list_sensor_files(root)]
+    found = [
+        int(text) / 1000.0
+        for path, text in texts
+        if text.lstrip("-").isdigit() and not (text == "100000" and _is_constant(path))
+    ]
     # psutil knows more places of sensors; without a chip there is none.
-    psutil = import_psutil() if not found and _list_folder("/sys/class/hwmon") else None
+    psutil = import_psutil() if not found and not root and proc.list_folder("/sys/class/hwmon") else None
     if psutil is not None:
         found = _read_psutil_temperatures(psutil)
     plausible = [value for value in found if 0.0 < value < 150.0]
     return max(plausible) if plausible else None
 
 
-def _list_sensor_files() -> "list[str]":
-    zones = ["%s/temp" % zone for zone in _list_folder("/sys/class/thermal", "thermal_zone")]
-    chips = [file for chip in _list_folder("/sys/class/hwmon") for file in _list_folder(chip, "temp")]
+def _is_constant(path: str) -> bool:
+    """Whether a sensor is the one of Jetsons that states 100 degrees, whatever it is."""
+    return proc.read_text(os.path.dirname(path) + "/type") == "PMIC-Die"
+
+
+def _list_sensor_files(root: str) -> "list[str]":
+    zones = ["%s/temp" % zone for zone in proc.list_folder(root + "/sys/class/thermal", "thermal_zone")]
+    chips = [
+        file
+        for chip in proc.list_folder(root + "/sys/class/hwmon")
+        for file in proc.list_folder(chip, "temp")
+    ]
     return zones + [
         file for file in chips if os.path.basename(file).startswith("temp") and file.endswith("_input")
     ]
-
-
-def _list_folder(folder: str, part: str = "") -> "list[str]":
-    """List the paths in ``folder`` with ``part`` in their names."""
-    try:
-        return sorted(folder + "/" + name for name in os.listdir(folder) if part in name)
-    except OSError:
-        return []
 
 
 def _read_psutil_temperatures(psutil: "ModuleType") -> "list[float]":
@@ -177,32 +185,23 @@ def _read_psutil_temperatures(psutil: "ModuleType") -> "list[float]":
         return []
 
 
-def _read_text(path: str) -> str:
-    return proc.read_file(path).decode("ascii", "replace").strip()
+def start_hardware_meter(root: str = "") -> "HardwareMeter | None":
+    """Start the meter of GPU, power and battery; None where no folder shows any of them."""
+    gpus = [path for folder in _GPU_FOLDERS for path in proc.list_folder(root + folder, "gpu")]
+    has_tool = _has_nvidia_smi()
+    if not (gpus or has_tool or any(proc.list_folder(root + folder) for folder in _HARDWARE_FOLDERS)):
+        return None
+    from .hardware import HardwareMeter
+
+    return HardwareMeter(root, gpus, read_machine_memory, has_tool)
 
 
-def read_gpu_share() -> "float | None":
-    """Read the utilisation of the GPU, 0..1: Jetson's load file, else nvidia-smi where installed.
-
-    None without either.
-    """
-    for path in [path for folder in _GPU_FOLDERS for path in _list_folder(folder, "gpu")]:
-        text = _read_text(path + "/load")
-        if text.isdigit():
-            return min(1.0, int(text) / 1000.0)
-    return _read_nvidia_share()
+def measure_hardware(meter: "HardwareMeter | None") -> "dict[str, Any]":
+    """Measure GPU, power and battery as far as they are there: parts of the reply to a probe."""
+    return {"gpu_share": None} if meter is None else meter.measure()
 
 
-def _read_nvidia_share() -> "float | None":
+def _has_nvidia_smi() -> bool:
+    """Whether the tool of NVIDIA's driver is installed."""
     folders = os.environ.get("PATH", os.defpath).split(os.pathsep)
-    if not any(os.access(os.path.join(folder, "nvidia-smi"), os.X_OK) for folder in folders):
-        return None
-    import subprocess
-
-    argv = ["nvidia-smi", "--query-gpu=utilization.gpu", "--format=csv,noheader,nounits"]
-    try:
-        text = subprocess.check_output(argv, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=2.0)
-        shares = [float(line) / 100.0 for line in text.decode("ascii", "replace").split("\n") if line.strip()]
-    except (OSError, ValueError, subprocess.SubprocessError):
-        return None
-    return min(1.0, sum(shares) / len(shares)) if shares else None
+    return any(os.access(os.path.join(folder, "nvidia-smi"), os.X_OK) for folder in folders)

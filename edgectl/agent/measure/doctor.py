@@ -25,6 +25,7 @@ def collect_facts(request: Document) -> Document:
     """Collect the facts without changing anything."""
     began, wall = time.monotonic(), time.time()
     shell.install_deadline_handlers()
+    hardware = device.start_hardware_meter()
     request = local.fill_request(dict(request, command=""))
     ros = request.get("ros") or {"setup": []}
     missing = facts.find_missing_files(ros)
@@ -53,6 +54,7 @@ def collect_facts(request: Document) -> Document:
             skipped=[base for base in state_dir.BASES if state_dir.is_foreign_base(base)],
         ),
         "memory": device.read_memory(),
+        "hardware": _collect_hardware(device.measure_hardware(hardware)),
         "links": {robot: _build_link_facts(found, robot, probes) for robot, found in addresses.items()},
     }
     if request.get("engines"):
@@ -68,6 +70,14 @@ def collect_facts(request: Document) -> Document:
         )
     seconds = time.monotonic() - began
     return dict(answer, clock={"began": wall, "ended": wall + seconds})
+
+
+def _collect_hardware(found: Document) -> Document:
+    """Collect the readings of what few hosts have, and the temperature."""
+    readings: Document = {"temperature_c": device.read_temperature_c()}
+    for each in found.values():
+        readings.update(each if isinstance(each, dict) else {})
+    return readings
 
 
 def _wait_for_answers(probes: network.ConnectProbes, addresses: "dict[str, list[str]]") -> None:

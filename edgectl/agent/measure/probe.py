@@ -136,6 +136,7 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
     counted = network.start_counter_meter(state_dir.get_fleet(), addresses)
     traffic, totals = network.TrafficMeter(dict(addresses, **peers)), network.read_interface_bytes()
     radios = network.start_radio_meter()
+    hardware = device.start_hardware_meter()
     udp, cpu, started = UdpMeter(), device.CpuMeter(), time.monotonic()
     probes = network.ConnectProbes(addresses)
     probes.wait(max(started + window, time.monotonic() + _MIN_CONNECT_S))
@@ -155,7 +156,7 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
         "cpu": reading,
         "memory": device.read_memory(),
         "temperature_c": device.read_temperature_c(),
-        "gpu_share": device.read_gpu_share(),
+        **device.measure_hardware(hardware),
         "interfaces": {
             name: network.build_interface_entry(rate, network.read_interface_speed(name), wireless.get(name))
             for name, rate in rates.items()

@@ -53,6 +53,19 @@ def read_file(path: str) -> bytes:
         os.close(fd)
 
 
+def read_text(path: str) -> str:
+    """Read a file of one value; empty where there is none."""
+    return read_file(path).decode("ascii", "replace").strip()
+
+
+def list_folder(folder: str, part: str = "") -> "list[str]":
+    """List the paths in ``folder`` with ``part`` in their names."""
+    try:
+        return sorted(folder + "/" + name for name in os.listdir(folder) if part in name)
+    except OSError:
+        return []
+
+
 def read_process(pid: int) -> "Process | None":
     """Read one process; None where it is gone."""
     head, _, tail = read_file("/proc/%d/stat" % pid).rpartition(b") ")

@@ -121,11 +121,11 @@ class SchemeResult:
     local execution the mean over the robots (``hosts`` is empty). Metrics: latency (min); cpu, cpu peak and
     memory (percent); throughput (MB/s); handoffs (per run). Simulated runs add rate (frames/s); real ones add
     downtime and gap (s, means over handoffs), cpu_s (CPU seconds of all hosts), air (MB over the interfaces
-    of a robot, mean over robots) and unplaced (tasks without a host, per run). ``metrics``: of the
-    application. ``maps``: SSIM, -1..1. ``unfinished``: runs ended by the time limit. ``unplaced``: summed
-    over all plans. ``events``: in the order in which they first happened; ``recoveries``: by kind of event.
-    ``values``: by metric, the value of each run by its number (the repetition of a trial); the mean over the
-    hosts where it has several.
+    of a robot, mean over robots), energy (kJ of all hosts) and unplaced (tasks without a host, per run).
+    ``metrics``: of the application. ``maps``: SSIM, -1..1. ``unfinished``: runs ended by the time limit.
+    ``unplaced``: summed over all plans. ``events``: in the order in which they first happened;
+    ``recoveries``: by kind of event. ``values``: by metric, the value of each run by its number (the
+    repetition of a trial); the mean over the hosts where it has several.
     """
 
     scheme: Scheme

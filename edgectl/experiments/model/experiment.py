@@ -123,12 +123,16 @@ class MissionUsage:
     """What a host used from the start of a trial to the end of its mission, by counters (ADR 0132).
 
     ``cpu_s``: CPU seconds; of a host with a declared capacity those of its tasks. ``network_bytes``: in and
-    out over its interfaces; None for a host with a declared capacity. ``memory``: mean in bytes.
+    out over its interfaces; None for a host with a declared capacity. ``memory``: mean in bytes. ``energy``:
+    joules by the draw that its sensors tell; None where a snapshot has none.
     """
 
     cpu_s: Annotated[float, Rounded(decimals=3)]
     memory: Whole = field(metadata=in_document("memory_bytes"))
     network_bytes: Whole | None = None
+    energy: Annotated[float, Rounded(decimals=1)] | None = field(
+        default=None, metadata=in_document("energy_j")
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -73,7 +73,7 @@ class ExperimentView(ItemView):
         """All estimates as JSON types.
 
         Latency in min, CPU and memory in percent, throughput in MB/s, downtime, gap and cpu_s in s, air
-        in MB.
+        in MB, energy in kJ.
         """
         return {
             "experiment": self.run.experiment.name,
@@ -168,6 +168,7 @@ def _build_counter_columns(results: Sequence[SchemeResult]) -> list[MetricColumn
         build_metric_column("gap", "GAP s", 1),
         build_metric_column("cpu_s", "CPU s", 1),
         build_metric_column("air", "AIR MB", 1),
+        build_metric_column("energy", "ENERGY kJ", 1),
     )
     return [column for column in columns if any(any(column.estimates(result)) for result in results)]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from edgectl.experiments.model.comparison import ReplayResult, Utilisation
 from edgectl.formats.document import Document, encode_number
-from edgectl.model.resource import RESOURCES
+from edgectl.model.resource import TASK_RESOURCES
 from edgectl.names import format_name_list, natural_key
 from edgectl.views.output import ListView
 from edgectl.views.output_format import ITEM_FORMATS
@@ -17,7 +17,7 @@ _OPEN_LOOP_NOTE = (
     "edgectl simulate closes the loop in a model."
 )
 
-_HEAD = ("SCHEME", "HANDOFFS", "PER CYCLE", "UNPLACED", *(each.name.upper() for each in RESOURCES))
+_HEAD = ("SCHEME", "HANDOFFS", "PER CYCLE", "UNPLACED", *(each.title for each in TASK_RESOURCES))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +56,7 @@ def _build_replay_row(result: ReplayResult) -> Row:
         str(result.handoffs),
         f"{result.handoffs / result.cycles:.3f}" if result.cycles else "-",
         str(result.unplaced),
-        *(_format_utilisation(share) if result.cycles else "-" for share in result.utilisation.values()),
+        *(_format_utilisation(share) if result.cycles else "-" for share in _select_shown(result).values()),
     )
 
 
@@ -66,6 +66,11 @@ def _describe_assumed_tasks(results: Sequence[ReplayResult]) -> list[str]:
         return []
     names = f"{format_name_list(tasks)} ({len(tasks)})"
     return [f"never recorded as running, so their usage is taken from their demand: {names}"]
+
+
+def _select_shown(result: ReplayResult) -> dict[str, Utilisation]:
+    """Of the resources that every host has."""
+    return {each.name: result.utilisation[each.name] for each in TASK_RESOURCES}
 
 
 def _format_utilisation(share: Utilisation) -> str:
@@ -85,6 +90,6 @@ def _encode_replay_result(result: ReplayResult) -> Document:
         "assumed": list(result.assumed),
         "utilisation": {
             name: {"mean": encode_number(share.mean), "peak": encode_number(share.peak)}
-            for name, share in result.utilisation.items()
+            for name, share in _select_shown(result).items()
         },
     }
