@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 
 from edgectl.dataclass import dataclass
 from edgectl.model.policy import Weights
-from edgectl.model.resource import HOST_RESOURCES, NETWORK
+from edgectl.model.resource import NETWORK
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.demand import ClassDemands
 from edgectl.scheduler.edge_groups import group_edges
 
 Array = NDArray[np.float64]
-_HOST_NAMES = tuple(resource.name for resource in HOST_RESOURCES)
 # Numbers that one block holds: some 4 MiB.
 MAX_BLOCK = 500_000
 
@@ -47,15 +46,16 @@ class MeasuredRows:
     """Demands of tasks with a history, ``names``, in the order in which they will be asked for; ``index``:
     the number of each.
 
-    ``kinds``: classes of hosts. ``kind_of``: by group of edges. ``raw`` and ``usable``: by resource of hosts
-    and group. ``spread``: where each of the rows of a task takes the number for each edge from. ``size``:
-    tasks of a block. ``blocks``: the last one that was made.
+    ``kinds``: classes of hosts. ``kind_of``: by group of edges. ``raw`` and ``usable``: by each of
+    ``resources``, those of hosts that count, and group. ``spread``: where each of the rows of a task takes
+    the number for each edge from. ``size``: tasks of a block. ``blocks``: the last one that was made.
     """
 
     demands: Mapping[str, ClassDemands]
     names: Sequence[str]
     index: Mapping[str, int]
     weights: Weights
+    resources: tuple[str, ...]
     kinds: Sequence[str]
     kind_of: NDArray[np.intp]
     raw: Array
@@ -92,8 +92,8 @@ class MeasuredRows:
 
     def _build_block(self, start: int) -> DemandBlock:
         names = self.names[start : start + self.size]
-        shares: Array = np.zeros((len(names), len(_HOST_NAMES) + 1, self.raw.shape[1]))
-        for index, name in enumerate(_HOST_NAMES):
+        shares: Array = np.zeros((len(names), len(self.resources) + 1, self.raw.shape[1]))
+        for index, name in enumerate(self.resources):
             amounts, relative = self._list_amounts(names, name)
             amounts = amounts.take(self.kind_of, axis=1)
             raw, usable = self.raw[index], self.usable[index]
@@ -127,21 +127,21 @@ def build_measured_rows(
 ) -> MeasuredRows:
     """The demands of ``names`` in ``fleet``, nothing computed yet. ``kind_of``: by edge."""
     edges = fleet.edges
-    raw = np.array([fleet.raw[name][:edges] for name in _HOST_NAMES])
-    usable = np.array([fleet.usable[name][:edges] for name in _HOST_NAMES])
-    columns = kind_of.tolist(), *fleet.raw.values(), *fleet.usable.values()
+    raw, usable = ({name: each[name][:edges] for name in fleet.counted} for each in (fleet.raw, fleet.usable))
+    columns = kind_of.tolist(), *raw.values(), *usable.values()
     groups = group_edges(columns, edges)
     first, group_of = list(groups.first), np.array(groups.expand(range(len(groups.first))), dtype=np.intp)
-    rows = len(_HOST_NAMES) + 1
+    rows = len(fleet.counted) + 1
     return MeasuredRows(
         demands=fleet.demands,
         names=names,
         index={name: number for number, name in enumerate(names)},
         weights=weights,
+        resources=fleet.counted,
         kinds=kinds,
         kind_of=kind_of[first],
-        raw=raw[:, first],
-        usable=usable[:, first],
+        raw=np.array(list(raw.values()))[:, first],
+        usable=np.array(list(usable.values()))[:, first],
         spread=group_of + len(first) * np.arange(rows)[:, np.newaxis],
         size=max(1, MAX_BLOCK // (rows * len(first))),
     )

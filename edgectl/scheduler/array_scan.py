@@ -15,31 +15,37 @@ from numpy.typing import NDArray
 from edgectl.dataclass import dataclass
 from edgectl.model.demand import ZERO, Demand, Quantity
 from edgectl.model.policy import Weights
-from edgectl.model.resource import HOST_RESOURCES, NETWORK
+from edgectl.model.resource import NETWORK, NOTHING
 from edgectl.model.task import Task
 from edgectl.scheduler.array_demands import MeasuredRows, build_measured_rows
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.demand import OTHER_CLASS
 from edgectl.scheduler.ledger import NO_FREE_SHARE, Ledger
-from edgectl.scheduler.scan import EXCLUDED_TOTAL, INFEASIBLE_PENALTY, MAX_CACHED_SHARES, is_feasible_total
+from edgectl.scheduler.scan import (
+    EXCLUDED_TOTAL,
+    INFEASIBLE_PENALTY,
+    MAX_CACHED_SHARES,
+    is_feasible_total,
+    list_uncounted_demands,
+)
 from edgectl.scheduler.utility import EPSILON
 
 Array = NDArray[np.float64]
-_HOST_NAMES = tuple(resource.name for resource in HOST_RESOURCES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArrayShares:
     """Demands as shares of capacity at every edge, as ``scan.DemandShares`` has them.
 
-    ``raw`` and ``usable``: one row per resource of hosts. ``kinds`` are the classes of hosts, ``kind_of`` the
-    index of each edge's class. ``stated`` is what is kept of tasks without a history of their own: rows and
-    weighted sum by quantities; ``measured`` is of the others. ``units``: of the links to one robot, what one
-    byte/s is a share of, and what the nominal capacity is; ``divisors``: their capacities, infinite where
-    there is none.
+    ``raw`` and ``usable``: one row for each of ``names``, the resources of hosts that count. ``kinds`` are
+    the classes of hosts, ``kind_of`` the index of each edge's class. ``stated`` is what is kept of tasks
+    without a history of their own: rows and weighted sum by quantities; ``measured`` is of the others.
+    ``units``: of the links to one robot, what one byte/s is a share of, and what the nominal capacity is;
+    ``divisors``: their capacities, infinite where there is none.
     """
 
     fleet: Capacities
+    names: tuple[str, ...]
     raw: Array
     usable: Array
     links: dict[str, Array]
@@ -62,10 +68,10 @@ class ArrayShares:
         if floor is None:
             return rows, weighted
         rows = rows.copy()
-        for index, name in enumerate(_HOST_NAMES):
+        for index, name in enumerate(self.names):
             if name in floor.used:
                 rows[index] = _raise(rows[index], floor.used[name], self.usable[index])
-        return rows, _add_weighted(rows, weights)
+        return rows, self._add_weighted(rows, weights)
 
     def weigh_hosts(self, task: Task, weights: Weights) -> Array:
         """The weighted sum of `of_hosts` alone, of a task that was not measured to use more."""
@@ -75,16 +81,23 @@ class ArrayShares:
         return self.measured.find_weighted(number)
 
     def _get_stated_rows(self, demand: Demand, weights: Weights) -> tuple[Array, Array]:
-        quantities = [demand[name] or ZERO for name in _HOST_NAMES]
+        quantities = [demand[name] or ZERO for name in self.names]
         # Numbers: the hash of a quantity costs as much as a row operation.
         key = tuple([number for each in quantities for number in (each.value, each.relative)])
         found = self.stated.get(key)
         if found is None:
             rows = self._build_rows([[quantity] for quantity in quantities])
-            if len(self.stated) * self.fleet.edges > MAX_CACHED_SHARES / len(_HOST_NAMES):
+            if len(self.stated) * self.fleet.edges > MAX_CACHED_SHARES / len(self.names):
                 self.stated.clear()
-            found = self.stated[key] = rows, _add_weighted(rows, weights)
+            found = self.stated[key] = rows, self._add_weighted(rows, weights)
         return found
+
+    def _add_weighted(self, rows: Array, weights: Weights) -> Array:
+        """The sum of weight x share over the resources of hosts."""
+        total: Array = np.zeros(rows.shape[1])
+        for name, row in zip(self.names, rows, strict=True):
+            total += weights[name] * row
+        return total
 
     def _build_rows(self, quantities: Sequence[Sequence[Quantity]]) -> Array:
         """Rho / Delta by resource of hosts and edge; ``quantities`` by resource, and by class or of all."""
@@ -146,14 +159,6 @@ class ArrayShares:
         return unit
 
 
-def _add_weighted(rows: Array, weights: Weights) -> Array:
-    """The sum of weight x share over the resources of hosts."""
-    total: Array = np.zeros(rows.shape[1])
-    for name, row in zip(_HOST_NAMES, rows, strict=True):
-        total += weights[name] * row
-    return total
-
-
 def _divide(amounts: Array, capacity: Array) -> Array:
     """The amounts as shares; 0 where there is no capacity."""
     return np.divide(amounts, capacity, out=np.zeros(capacity.shape), where=capacity > 0)
@@ -174,8 +179,9 @@ def build_array_shares(fleet: Capacities, weights: Weights, names: Iterable[str]
     measured = [name for name in names if name in fleet.demands]
     return ArrayShares(
         fleet=fleet,
-        raw=np.array([fleet.raw[name][:edges] for name in _HOST_NAMES]),
-        usable=np.array([fleet.usable[name][:edges] for name in _HOST_NAMES]),
+        names=fleet.counted,
+        raw=np.array([fleet.raw[name][:edges] for name in fleet.counted]),
+        usable=np.array([fleet.usable[name][:edges] for name in fleet.counted]),
         links=_build_link_arrays(fleet.links),
         nominal_links=_build_link_arrays(fleet.nominal_links),
         kinds=kinds,
@@ -190,18 +196,19 @@ def _build_link_arrays(links: Mapping[str, Sequence[float | None]]) -> dict[str,
 
 @dataclass(slots=True, kw_only=True)
 class FreeArrays:
-    """The free shares of a ledger by edge, kept in step with it. ``free``: one row per resource of hosts.
+    """The free shares of a ledger by edge, kept in step with it. ``free``: one row for each of ``names``.
     ``weighted``: under ``weights``.
     """
 
+    names: tuple[str, ...]
     free: Array
     free_links: dict[str, Array]
     weighted: Array
 
     def set_free(self, place: int, name: str, share: float) -> None:
         """Follow a change of one resource."""
-        if place < len(self.weighted):
-            self.free[_HOST_NAMES.index(name), place] = share
+        if place < len(self.weighted) and name in self.names:
+            self.free[self.names.index(name), place] = share
 
     def set_link(self, place: int, robot: str, share: float) -> None:
         """Follow a change of one link."""
@@ -284,7 +291,8 @@ class ArrayScan:
         """Let arrays follow ``ledger`` from now on."""
         edges = ledger.fleet.edges
         ledger.mirror = FreeArrays(
-            free=np.array([ledger.free[name][:edges] for name in _HOST_NAMES]),
+            names=self.shares.names,
+            free=np.array([ledger.free[name][:edges] for name in self.shares.names]),
             free_links={robot: np.array(row) for robot, row in ledger.free_links.items()},
             weighted=np.array(ledger.weigh_free(self.weights)[:edges]),
         )
@@ -293,7 +301,7 @@ class ArrayScan:
         """As ``scan.compute_resource_totals``, with ``EXCLUDED_TOTAL`` for the robots after the edges."""
         shares, edges = self.shares, self.shares.fleet.edges
         demanded, weighted = shares.of_hosts(task, self.weights)
-        terms: Array = np.empty((len(_HOST_NAMES) + 1, edges))
+        terms: Array = np.empty((len(shares.names) + 1, edges))
         np.subtract(free.free, demanded, out=terms[:-1])
         links = terms[-1]
         fill_link_terms(links, free, shares, task)
@@ -302,9 +310,16 @@ class ArrayScan:
         totals = np.add(free.weighted, offset, out=row[:edges])
         totals -= weighted
         totals += self.weights[NETWORK.name] * links
+        if _demands_nothing_had(shares.fleet, task):
+            totals -= INFEASIBLE_PENALTY
         if terms.min() < -EPSILON:
             totals[(terms < -EPSILON).any(axis=0)] -= INFEASIBLE_PENALTY
         return ArrayTotals(row)
+
+
+def _demands_nothing_had(fleet: Capacities, task: Task) -> bool:
+    """Whether the task demands some of what no host has any of."""
+    return any(NOTHING in fleet.raw[name] for name in list_uncounted_demands(fleet, task))
 
 
 def build_array_scan(fleet: Capacities, weights: Weights, names: Iterable[str]) -> ArrayScan:

@@ -19,7 +19,7 @@ from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.demand import ZERO
 from edgectl.model.policy import Preference
-from edgectl.model.resource import AFFINITY, LATENCY, NETWORK, RESOURCES_BY_NAME
+from edgectl.model.resource import AFFINITY, LATENCY, NETWORK, RATING, RESOURCES_BY_NAME
 from edgectl.model.task import Task
 from edgectl.scheduler.array_scan import Array, ArrayScan, ArrayTotals, FreeArrays, fill_link_terms
 from edgectl.scheduler.candidates import AssignmentContext, get_edge_rejections
@@ -27,7 +27,7 @@ from edgectl.scheduler.demand import demand_at
 from edgectl.scheduler.latency import NO_LATENCY_TERM, has_prediction
 from edgectl.scheduler.lazy_ranking import LazyCounts, LazyDemands, LazyRanking, LoadHistory, RankingRequest
 from edgectl.scheduler.ledger import Ledger
-from edgectl.scheduler.scan import EXCLUDED_TOTAL
+from edgectl.scheduler.scan import EXCLUDED_TOTAL, list_uncounted_demands
 from edgectl.scheduler.task_usage import TaskUsage
 from edgectl.scheduler.utility import EPSILON, compute_affinity, resource_utility
 
@@ -68,10 +68,10 @@ class _Outcome(NamedTuple):
 class StartTable:
     """Whatever is the same for all starts of one pass.
 
-    ``rows`` by resource: name and weight; of hosts also capacity before and after limits, and gamma, by
-    place. ``history``: of the pass, where decisions are asked for. ``totals`` by place, and ``links``, UT_net
-    by edge, are of the last task, as is ``scratch``. ``utilities``: UT_task by reward, by the number of
-    predecessors and the rewards.
+    ``rows`` by resource that counts: name and weight; of hosts also capacity before and after limits, and
+    gamma, by place. ``idle``: a load of nothing. ``history``: of the pass, where decisions are asked for.
+    ``totals`` by place, and ``links``, UT_net by edge, are of the last task, as is ``scratch``.
+    ``utilities``: UT_task by reward, by the number of predecessors and the rewards.
     """
 
     context: AssignmentContext
@@ -83,6 +83,7 @@ class StartTable:
     links: Array
     scratch: Array
     rows: Sequence[tuple[str, float, Sequence[float], Sequence[float], Sequence[float]]]
+    idle: Mapping[str, float]
     utilities: dict[tuple[int, ...], Mapping[int, float]] = field(default_factory=dict)
 
 
@@ -92,7 +93,9 @@ def build_starter(context: AssignmentContext, ledger: Ledger, history: LoadHisto
     The tasks run nowhere, and no rule between tasks concerns them. None of a task: the full way must decide.
     """
     policy, fleet = context.policy, context.fleet
-    plain = policy.prefer is not Preference.PACK and policy.weights[LATENCY] == 0.0 and context.rules.edges
+    plain = policy.prefer is not Preference.PACK and context.rules.edges
+    others = (LATENCY, RATING, *(name for name in ledger.used if name not in fleet.counted))
+    plain = plain and not any(policy.weights[name] for name in others)
     if context.arrays is None or ledger.mirror is None or not plain:
         return None
     table = StartTable(
@@ -109,7 +112,9 @@ def build_starter(context: AssignmentContext, ledger: Ledger, history: LoadHisto
                 ledger.used.get(name, ()),
             )
             for name in RESOURCES_BY_NAME
+            if name == NETWORK.name or name in fleet.counted
         ],
+        idle=dict.fromkeys((name for name in RESOURCES_BY_NAME if name in ledger.used), 0.0),
         history=history,
         totals=ArrayTotals(np.full(len(fleet.places), EXCLUDED_TOTAL)),
         links=np.empty(fleet.edges),
@@ -137,7 +142,7 @@ def _find_outcome(table: StartTable, task: Task, predecessors: Mapping[str, int]
     fleet = context.fleet
     if task.standby is not None or has_prediction(task) or task.name in fleet.floors:
         return None
-    if context.rules.robot_of(fleet, task) is not None:
+    if context.rules.robot_of(fleet, task) is not None or list_uncounted_demands(fleet, task):
         return None
     located = tuple(predecessors.values())
     denied = get_edge_rejections(context, task)
@@ -259,7 +264,7 @@ def _score_edge(table: StartTable, task: Task, place: int, utility: float) -> Sc
             rate = (demand_at(fleet, task, place)[NETWORK.name] or ZERO).of(best)
         links[robot] = rate
         worst = min(worst, resource_utility(now, ledger.links[robot][place], rate))
-    used: dict[str, float] = {}
+    used = dict(table.idle)
     total = 0.0
     for name, weight, raw, usable, loads in table.rows:
         term = worst

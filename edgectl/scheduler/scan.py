@@ -259,6 +259,18 @@ def list_limiting_resources(fleet: Capacities, task: Task) -> Sequence[str]:
     return [name for name in _HOST_NAMES if name in counted or task.demand[name] is not None]
 
 
+def list_uncounted_demands(fleet: Capacities, task: Task) -> list[str]:
+    """What the task demands of resources that limit no place, or that no host has."""
+    counted = fleet.counted
+    if len(counted) == len(_HOST_NAMES):
+        return []
+    return [
+        name
+        for name in _HOST_NAMES
+        if name not in counted and (demand := task.demand[name]) is not None and demand.value > 0
+    ]
+
+
 def _find_link_rows(ledger: Ledger, shares: DemandShares, task: Task) -> ResourceRows:
     """The rows of the only link; the worst of several, with the demand taken off; 1 without a robot."""
     if not task.robots:

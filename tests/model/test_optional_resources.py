@@ -240,3 +240,16 @@ def test_a_wrong_demand_says_how_to_write_it(tmp_path: Path, wrong: str, hint: s
     with pytest.raises(InputError) as raised:
         load_files(tmp_path, wrong)
     assert hint in str([problem.hint for problem in raised.value.problems])
+
+
+@pytest.mark.parametrize("readings", [{}, {"edge2": CARD}], ids=["no card", "a card"])
+@pytest.mark.parametrize("demand", ["", ", gpu: 50%, gpu_memory: 4Gi", ", power: 5W"])
+def test_the_scan_of_large_fleets_decides_the_same(
+    demand: str, readings: Mapping[str, Reading], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("numpy")
+    files = load_files(tmp_path, demand)
+    plain = a_plan(files, readings)
+    monkeypatch.setattr("edgectl.scheduler.assign.MIN_ARRAY_PAIRS", 0)
+    found = a_plan(files, readings)
+    assert [step.decision for step in found.steps] == [step.decision for step in plain.steps]

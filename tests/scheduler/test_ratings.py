@@ -76,10 +76,15 @@ def test_explain_names_the_term_and_the_weight_that_would_change_it() -> None:
 
 def test_the_scan_of_large_fleets_counts_them_too(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("numpy")
-    plain = run_assign(FLEET, TASKS, rated(shade=SHADE), policy=ALONE)
-    monkeypatch.setattr("edgectl.scheduler.assign.MIN_ARRAY_PAIRS", 0)
     assert build_array_scan is not None
-    assert run_assign(FLEET, TASKS, rated(shade=SHADE), policy=ALONE).decisions == plain.decisions
+    # Totals without ratings must not tie: then the arrays alone would not decide anyway.
+    mixed = Weights({**dict.fromkeys(Weights(), 0.0), "cpu": 0.3, RATING: 0.7})
+    policies = [ALONE, Policy(weights=mixed, terms=("shade",))]
+    plain = [run_assign(FLEET, TASKS, rated(shade=SHADE), policy=policy) for policy in policies]
+    monkeypatch.setattr("edgectl.scheduler.assign.MIN_ARRAY_PAIRS", 0)
+    found = [run_assign(FLEET, TASKS, rated(shade=SHADE), policy=policy) for policy in policies]
+    assert [each.decisions for each in found] == [each.decisions for each in plain]
+    assert [hosts_by_task(each)["slam"] for each in found] == ["edge1", "edge1"]
 
 
 def test_without_its_ratings_nothing_is_decided() -> None:
