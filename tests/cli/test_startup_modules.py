@@ -107,12 +107,12 @@ def start(folder: Path, env: dict[str, str], *words: str) -> Start:
     [
         (("--help",), 165, 40, SSH | PLANNING),
         (("validate",), 298, 85, SSH | PLANNING),
-        (("plan", "--snapshot", "snap.json"), 440, 175, SSH),
+        (("plan", "--snapshot", "snap.json"), 444, 175, SSH),
         (("probe", "--window", "0"), 556, 170, PLANNING),
-        (("plan",), 627, 240, set()),
+        (("plan",), 631, 240, set()),
         (("apply", "-y"), 662, 260, set()),
-        (("status",), 623, 235, set()),
-        (("logs", "beat"), 502, 165, PLANNING),
+        (("status",), 627, 235, set()),
+        (("logs", "beat"), 506, 165, PLANNING),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )
