@@ -17,7 +17,16 @@ from edgectl.model.explanation import ChangeKind, Contribution, Explanation, Fli
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy, Weights
-from edgectl.model.resource import LATENCY, RATING, RESOURCES, RESOURCES_BY_NAME, TERMS, Resource, ResourceMap
+from edgectl.model.resource import (
+    LATENCY,
+    NOTHING,
+    RESOURCES,
+    RESOURCES_BY_NAME,
+    SPARE_TERMS,
+    TERMS,
+    Resource,
+    ResourceMap,
+)
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task
 from edgectl.scheduler.capacities import Capacities, build_capacities
@@ -229,7 +238,7 @@ def _compute_needed_gains(
 
 def _build_contributions(weights: Weights, here: UtilityTerms, there: UtilityTerms) -> Iterator[Contribution]:
     for term in TERMS:
-        if term in (LATENCY, RATING) and not weights[term]:
+        if term in SPARE_TERMS and not weights[term]:
             continue
         yield Contribution(
             term=term,
@@ -303,7 +312,7 @@ def _find_flips(case: _Case) -> Iterator[Flip]:
             yield from _find_load_flips(case, entry, resource)
     predicted = any(entry.predicted_latency is not None for entry in case.ranked)
     for term in TERMS:
-        if (term != LATENCY or predicted) and (term != RATING or case.weights[RATING]):
+        if term not in SPARE_TERMS or case.weights[term] or (term == LATENCY and predicted):
             yield from _find_weight_flips(case, term)
 
 
@@ -349,7 +358,7 @@ def _get_capacity_and_load(case: _Case, host: str, resource: Resource) -> tuple[
     fleet, place, ledger = case.fleet, case.fleet.index[host], case.ledger
     if not resource.per_link:
         capacity = fleet.usable[resource.name][place]
-        return (capacity if capacity < inf else 0.0), ledger.used[resource.name][place], None
+        return (capacity if NOTHING < capacity < inf else 0.0), ledger.used[resource.name][place], None
     if len(case.task.robots) != 1 or place >= fleet.edges:
         return 0.0, 0.0, None
     robot = case.task.robots[0]
