@@ -8,12 +8,14 @@ The whole command line runs in this process, over simulated hosts. tests/views/t
 import os
 import pty
 import re
+import socket
 import sys
 import termios
 import threading
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
@@ -125,6 +127,11 @@ ESCAPE = re.compile(r"\x1b\[[0-9;]*m")
 MOMENT = re.compile(r"\d{4}-\d\d-\d\dT[\d:.]+Z|\b\d+(?:\.\d+)?(?:e-\d+)?|[ -]{2,}")
 
 
+def know_no_name(*_: object, **__: object) -> NoReturn:
+    """Answer as a name service without these hosts, at once: trust asks it, and a slow one would be told apart."""
+    raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+
 @pytest.fixture(scope="module")
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict[str, str]]]:
     """A folder with a fleet of three edges and a robot on which two of three tasks run, and its environment."""
@@ -137,6 +144,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict
     env = {**kept, "EDGECTL_STATE_DIR": str(folder / "state"), "TERM": "xterm-256color", "LANG": "C.UTF-8"}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("edgectl.transport.fleet_transport.FleetTransport", lambda **_: hosts.transport)
+        patch.setattr("edgectl.transport.sockets.socket.getaddrinfo", know_no_name)
         applied = edgectl(["apply", "--yes"], folder, env)
         assert hosts.placed.keys() == {"zeta", "nav"}, applied
         yield folder, env
