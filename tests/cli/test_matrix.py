@@ -74,6 +74,10 @@ READING = {
     "export jsonl": "export jsonl events",
     "export cron": "export cron",
     "export systemd": "export systemd",
+    "export kubernetes": "export kubernetes --image ros:jazzy",
+    "export nomad": "export nomad",
+    "export compose": "export compose --image ros:jazzy",
+    "export bluechi": "export bluechi",
     "schema": "schema tasks",
     "version": "version",
     "completion": "completion bash",
@@ -115,7 +119,7 @@ OTHERS = {
         "ssim",
     ),
     *("replay", "simulate run", "simulate sweep", "simulate merge", "experiment run", "experiment show"),
-    *("import ros", "import ssh", "import ansible", "import paper"),
+    *("import ros", "import ssh", "import ansible", "import paper", "import compose"),
 }
 PEOPLE = ("table", "wide")
 WIDTHS = (60, 80, 120)

@@ -17,7 +17,7 @@ def test_a_form_that_a_command_has_not_is_refused_with_those_it_has(run: Run, wo
     assert (said.code, said.out) == (64, "")
     assert said.err == (
         f'error: output format "{words[-1].removeprefix("--output=")}" is not supported here\n'
-        "hint: use -o table, wide, json, jsonl, yaml, csv, name or markdown\n"
+        "hint: use -o table, wide, json, jsonl, yaml, csv, name, markdown or gitlab\n"
     )
 
 

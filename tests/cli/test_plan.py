@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.model.resource import TERMS
+from edgectl.model.resource import SPARE_TERMS, TERMS
 from tests.cli.conftest import Run
 
 PLAN = ("plan", "--snapshot", "snap.json")
@@ -108,7 +108,7 @@ def test_policy_and_weights_stand_in_the_plan(run: Run, site: Path) -> None:
         ).out
     )
     assert document["policy"] == "paper"
-    unasked = dict.fromkeys((term for term in TERMS if term not in ("latency", "rating")), 0)
+    unasked = dict.fromkeys((term for term in TERMS if term not in SPARE_TERMS), 0)
     assert document["weights"] == unasked | {"cpu": 0.25, "network": 0.75}
     assert document["options"]["best_effort"] is True
 

@@ -11,7 +11,7 @@ NAV = "command: roslaunch nav.launch"
 CASES = [
     BrokenFile(name="unknown key", old="    demand: {cpu: 500m", new="    demnd: {cpu: 500m", at="demnd", code="EC012",
         message="unknown key demnd in task navigation", hint="did you mean demand?", mended="    demand: {cpu: 500m"),
-    BrokenFile(name="unknown resource", old="cpu: 500m", new="gpu: 500m", at="gpu: 500m", code="EC012", message="unknown key gpu in demand",
+    BrokenFile(name="unknown resource", old="cpu: 500m", new="cpus: 500m", at="cpus: 500m", code="EC012", message="unknown key cpus in demand",
         hint="did you mean cpu?", mended="cpu: 500m"),
     BrokenFile(name="key twice", old=NAV, new=f"{NAV}\n    {NAV}", position=(14, 5), code="EC005", message="first defined on line 13",
         hint="remove line 13 or line 14", mended=NAV),

@@ -5,6 +5,7 @@ Blocks that consist of edgectl commands run in this process. All others, and eve
 page, run in a shell.
 """
 
+import json
 import re
 import subprocess
 import textwrap
@@ -115,7 +116,7 @@ def test_the_commands_of_each_job_run(name: str, lines: list[str], tmp_path: Pat
     (tmp_path / "repo" / "snapshots").mkdir()
     (tmp_path / "repo" / "snapshots" / "lab.json").write_bytes(SNAPSHOT.read_bytes())
     ours = [line for line in lines if line.startswith("edgectl ")]
-    assert len(ours) == 2
+    assert len(ours) == {"github": 2, "gitlab": 3}[name]
     env = {
         **environment(tmp_path / "state"),
         "CI": "true",
@@ -127,6 +128,10 @@ def test_the_commands_of_each_job_run(name: str, lines: list[str], tmp_path: Pat
         )
         assert done.returncode == 0, done.stderr
     assert (tmp_path / "repo" / "plan.md").read_text().startswith("<!-- edgectl-plan -->\n**Plan: ")
+    if name == "gitlab":
+        assert json.loads((tmp_path / "repo" / "quality.json").read_text()) == []
+        counts = json.loads((tmp_path / "repo" / "plan.json").read_text())
+        assert counts.keys() == {"create", "update", "delete"}
     assert not (tmp_path / "state").exists(), "a plan from a snapshot leaves nothing behind"
 
 

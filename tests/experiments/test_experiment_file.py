@@ -129,7 +129,7 @@ def test_a_short_spec_compares_as_simulate_does(tmp_path: Path) -> None:
             "schemes needs policies",
             "{policies: [local], weights",
         ),
-        ("[cpu, ", "[gpu, ", "5:49", "unknown weights 'gpu'", "[cpu, "),
+        ("[cpu, ", "[tpu, ", "5:49", "unknown weights 'tpu'", "[cpu, "),
         ("fps: mean", "fps: median", "11:16", "unknown word 'median'", "fps: mean"),
         (
             "task: map-merge, file",

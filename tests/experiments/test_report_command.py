@@ -69,7 +69,9 @@ def test_nothing_to_report_is_said_with_what_to_do(run: Run) -> None:
     assert said.code == 64
     assert "no run in runs/" in said.err
     assert "edgectl experiment run SPEC" in said.err
-    assert run("report", "nowhere").code == 1
+    nowhere = run("report", "nowhere")
+    assert nowhere.code == 64
+    assert "no run in nowhere" in nowhere.err
     kept(Path("runs/new"), replace(a_run(SCHEMES[:1], 1), trials=()))
     said = run("report")
     assert said.code == 64
