@@ -124,8 +124,8 @@ OTHERS = {
 PEOPLE = ("table", "wide")
 WIDTHS = (60, 80, 120)
 ESCAPE = re.compile(r"\x1b\[[0-9;]*m")
-# Instants, ages and durations differ from run to run, and with them the width of their columns.
-MOMENT = re.compile(r"\d{4}-\d\d-\d\dT[\d:.]+Z|\b\d+(?:\.\d+)?(?:e-\d+)?|[ -]{2,}")
+# Instants, ages, durations and lines of a history differ from run to run, and with them the width of their columns.
+MOMENT = re.compile(r"\d{4}-\d\d-\d\dT[\d:.]+Z|\b\d+(?:\.\d+)?(?:e-\d+)?|[ -]{2,}|[▁▂▃▄▅▆▇█]+")
 
 
 @pytest.fixture(scope="module")
