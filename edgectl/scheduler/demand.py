@@ -113,9 +113,12 @@ def demand_at(fleet: Capacities, task: Task, place: int) -> Demand:
 
 
 def list_resource_demands(fleet: Capacities, task: Task, place: int) -> tuple[ResourceDemand, ...]:
-    """What ``task`` counts for at ``place`` in absolute numbers, and where its demands come from."""
+    """What ``task`` counts for at ``place`` in absolute numbers, and where its demands come from.
+
+    Of the optional resources only those that it demands: few tasks do.
+    """
     counted = demand_at(fleet, task, place)
-    return tuple(
+    found = (
         _raise_to_usage(
             fleet,
             task,
@@ -126,6 +129,7 @@ def list_resource_demands(fleet: Capacities, task: Task, place: int) -> tuple[Re
         for resource in RESOURCES
         if (capacity := _find_capacity(fleet, task, place, resource)) is not None
     )
+    return tuple(rho for rho in found if rho.value or not rho.resource.optional)
 
 
 def _raise_to_usage(fleet: Capacities, task: Task, rho: ResourceDemand) -> ResourceDemand:

@@ -191,7 +191,8 @@ def main() -> None:
     print(
         f"{'variant':<10}{'paper':>8}{'utility, unbraked':>20}{'margin and dwell':>18}{'as watch':>10}   answered after"
     )
-    for variant, weights in WEIGHT_PRESETS.items():
+    for variant in STEPS:
+        weights = WEIGHT_PRESETS[variant]
         free = Policy(weights=weights, move_margin=0.0, min_dwell=0.0, max_moves=None)
         schemes = (
             a_steady_trial(variant, policy=Policy(name=PolicyName.PAPER, weights=weights), smooth=False),

@@ -5,10 +5,12 @@ from itertools import combinations
 from random import Random
 
 from edgectl.model.policy import Weights
+from edgectl.model.resource import HOST_RESOURCES
 from edgectl.scheduler.placement_problem import PlacementItem, PlacementProblem, list_kinds
 from edgectl.scheduler.slack_links import drop_slack_links
 
-LINKS = (3, 4)
+# The columns of links come after those of hosts.
+LINKS = (len(HOST_RESOURCES), len(HOST_RESOURCES) + 1)
 
 
 def build_problem(items: list[PlacementItem], limits: list[float]) -> PlacementProblem:
@@ -28,7 +30,7 @@ def test_no_set_of_tasks_with_room_on_the_host_fills_a_link_that_is_dropped() ->
     dice, dropped, kept = Random(1), 0, 0
     for _ in range(60):
         items = [draw_item(dice, number) for number in range(6)]
-        limits = [dice.uniform(0.3, 1.0) for _ in range(5)]
+        limits = [dice.uniform(0.3, 1.0) for _ in range(LINKS[-1] + 1)]
         loads = dict.fromkeys(LINKS, 0.0)
         for count in range(1, 7):
             for chosen in combinations([item.shares[0] for item in items], count):
@@ -52,8 +54,8 @@ def test_tasks_for_different_robots_are_of_one_kind_where_links_are_wide() -> No
     # Of memory 0.4 each two fit, which use 0.6 of both links together.
     items = [
         PlacementItem(name=name, shares={0: {0: 0.1, 1: share, link: 0.3}}, links=[link])
-        for name, share, link in (("a", 0.4, 3), ("b", 0.4 + 1e-15, 4))
+        for name, share, link in (("a", 0.4, LINKS[0]), ("b", 0.4 + 1e-15, LINKS[1]))
     ]
-    wide, narrow = ([1.0, 1.0, 1.0, limit, limit] for limit in (0.7, 0.2))
+    wide, narrow = ([1.0] * len(HOST_RESOURCES) + [limit, limit] for limit in (0.7, 0.2))
     assert len(list_kinds(drop_slack_links(build_problem(items, wide)))) == 1
     assert len(list_kinds(drop_slack_links(build_problem(items, narrow)))) == 2

@@ -20,7 +20,9 @@ from edgectl.solver.highs import make_solver
 
 EDGES, MARGIN = 3, 0.05
 WEIGHTS = Weights().normalised()
-LINKS = (2, 3)
+# The columns of links come after those of hosts, of which the tasks use the first two.
+LINKS = (len(HOST_RESOURCES), len(HOST_RESOURCES) + 1)
+UNUSED = range(2, len(HOST_RESOURCES))
 
 few = settings(max_examples=max(15, settings().max_examples // 2), deadline=None)
 
@@ -29,6 +31,8 @@ def draw_problem(seed: int, links: int) -> PlacementProblem:
     """Four running tasks and two new ones on three edges, of three kinds, whose tasks have one of ``links``."""
     dice = Random(seed)
     free = [[dice.uniform(0.5, 1.0) for _ in range(4)] for _ in range(EDGES)]
+    for row in free:
+        row[2:2] = [1.0] * len(UNUSED)
     kinds = [
         [[dice.uniform(0.05, 0.4), dice.uniform(0.05, 0.4), dice.uniform(0.0, 0.3)] for _ in range(EDGES)]
         for _ in range(3)
@@ -40,7 +44,10 @@ def draw_problem(seed: int, links: int) -> PlacementProblem:
         items.append(
             PlacementItem(
                 name=f"task{number}",
-                shares={place: {0: cpu, 1: ram, link: rate} for place, (cpu, ram, rate) in enumerate(kind)},
+                shares={
+                    place: {0: cpu, 1: ram, **dict.fromkeys(UNUSED, 0.0), link: rate}
+                    for place, (cpu, ram, rate) in enumerate(kind)
+                },
                 home=home,
                 links=[link],
                 voluntary=frozenset(range(EDGES)) - {home} if home is not None else (),
