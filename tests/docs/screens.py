@@ -130,7 +130,7 @@ def read_description(svg: str) -> str:
 def mask_values(text: str) -> list[str]:
     """The lines of a screen without what differs from run to run: numbers with their units, paths, bars and widths."""
     text = re.sub(r"\x1b\[[0-9;]*m", "", text)
-    text = re.sub(r"/tmp/\S+|(?<=-)[0-9a-f]{6}\b", "X", text)
+    text = re.sub(r"(?<!\S)/\S*/edgectl-demo-\S+|/tmp/\S+|(?<=-)[0-9a-f]{6}\b", "X", text)
     text = re.sub(r"\d[\d.:,]*(?:[A-Za-z]+(?:/s)?\b|%)?", "0", text)
     return [" ".join(line.split()) for line in text.splitlines() if line.strip()]
 
