@@ -16,10 +16,12 @@ from tests.protocol.tlc import Bounds, check_model, format_config
 
 CASES = (
     Bounds(hosts=3, tasks=2, runs=2),
-    Bounds(hosts=3, tasks=1, runs=3),
-    Bounds(hosts=2, tasks=2, runs=3),
+    Bounds(hosts=3, tasks=1, runs=2),
+    Bounds(hosts=2, tasks=2, runs=2),
+    Bounds(),
+    Bounds(hosts=3, tasks=2, uses_etcd=True),
     Bounds(hosts=3, tasks=2, runs=2, uses_etcd=True),
-    Bounds(hosts=3, tasks=1, runs=3, uses_etcd=True),
+    Bounds(hosts=3, tasks=1, uses_etcd=True),
 )
 
 
