@@ -12,6 +12,7 @@ from tests.faults.failpoint_runner import read_failpoints
 from tests.faults.faults_failpoints import APPLY_ONE, kill_at_failpoint
 from tests.faults.faults_warm_move import kill_supervisor_on, strike_at_point
 from tests.faults.fleet import FaultFleet
+from tests.faults.hosts import wait_for
 from tests.handoffs import ros_node
 from tests.handoffs.__main__ import find_missing
 from tests.handoffs.ros_subscriber import hear_ros
@@ -45,6 +46,8 @@ class Scene:
         """Apply, and find out who is active: the only one that is heard."""
         self.fleet.run_edgectl(*APPLY_ONE).expect_exit(0)
         before = self.subscriber.count()
+        # Discovery of a new node takes seconds on a busy machine.
+        wait_for(lambda: self.subscriber.count() > before, "a message of the node that is active")
         self.fleet.wait(1.0)
         senders = {message.sender for message in self.subscriber.take()[before:]}
         assert len(senders) == 1, senders
