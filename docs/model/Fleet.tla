@@ -154,16 +154,17 @@ DeliverStart(r, t) ==
   /\ living' = [living EXCEPT ![p.start] = @ \cup {t}]
   /\ UNCHANGED <<owner, stage, told, plan, session, lease, news, placed, leader, reboots>>
 
-\* ``heard``: the manager gets the proof that nothing is left, and sends the start of a move.
+\* ``heard``: the manager gets the proof that nothing is left, notes it in its book, and sends the start of a move.
 DeliverStop(r, t, heard) ==
   LET p == plan[r][t] IN
   /\ p.stop # None /\ Obeys(p.stop, r, session, lease)
   /\ living' = [living EXCEPT ![p.stop] = @ \ {t}]
   /\ IF heard
-     THEN /\ stage[r] = "acting" /\ p.start # None /\ ~p.sent
-          /\ plan' = [plan EXCEPT ![r][t].sent = TRUE]
-     ELSE t \in living[p.stop] /\ UNCHANGED plan
-  /\ UNCHANGED <<owner, stage, told, session, lease, news, placed, leader, reboots>>
+     THEN /\ stage[r] = "acting" /\ ~p.sent
+          /\ placed' = [placed EXCEPT ![Holder(owner[r])][t] = @ \ {p.stop}]
+          /\ plan' = [plan EXCEPT ![r][t].sent = p.start # None]
+     ELSE t \in living[p.stop] /\ UNCHANGED <<plan, placed>>
+  /\ UNCHANGED <<owner, stage, told, session, lease, news, leader, reboots>>
 
 Reboot(h) ==
   /\ reboots < MaxReboots
