@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """``ros_listener.py TOPIC`` prints each message and the time in ns at which it came, until its standard input ends.
 
-It runs in the Python that has rclpy.
+A line of one number says how many publishers it has discovered. It runs in the Python that has rclpy.
 """
 
 import sys
@@ -10,6 +10,7 @@ import time
 from contextlib import suppress
 
 import rclpy  # type: ignore[import-not-found]
+from rclpy.event_handler import SubscriptionEventCallbacks  # type: ignore[import-not-found]
 from rclpy.executors import ExternalShutdownException  # type: ignore[import-not-found]
 from std_msgs.msg import String  # type: ignore[import-not-found]
 
@@ -22,7 +23,8 @@ def print_messages(topic: str) -> None:
     def hear(message: String) -> None:
         print(message.data, time.monotonic_ns(), flush=True)
 
-    node.create_subscription(String, topic, hear, 10)
+    events = SubscriptionEventCallbacks(matched=lambda match: print(match.current_count, flush=True))
+    node.create_subscription(String, topic, hear, 10, event_callbacks=events)
 
     def end_with_input() -> None:
         sys.stdin.read()

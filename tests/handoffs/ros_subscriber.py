@@ -42,4 +42,7 @@ def _read(process: "subprocess.Popen[str]", subscriber: Subscriber) -> None:
     assert process.stdout is not None
     for line in process.stdout:
         message, _, heard = line.rpartition(" ")
-        subscriber.add([message], int(heard))
+        if message:
+            subscriber.add([message], int(heard))
+        else:
+            subscriber.publishers = int(line)

@@ -47,13 +47,17 @@ def say_word(folder: str, word: str) -> str:
 
 @dataclass
 class Scene:
-    """``bench``: a manager of the hosts ``names``. ``location``: the host on which the task is active."""
+    """``bench``: a manager of the hosts ``names``. ``location``: the host on which the task is active.
+
+    ``discovers``: its subscriber has to discover the copy before it hears it.
+    """
 
     bench: Bench
     names: tuple[str, ...]
     task: Task
     subscriber: Subscriber
     location: str = ""
+    discovers: bool = False
 
     def prefer(self, host: str) -> Inventory:
         """The inventory in which ``host`` is by far the best."""
@@ -81,6 +85,8 @@ class Scene:
         results = self.apply(self.names[0])
         assert [copy.outcome for copy in results.standbys] == [Outcome.DONE]
         self.subscriber.wait_for_sender(self.names[0])
+        if self.discovers:
+            self.subscriber.wait_for_publishers(len(self.names))
 
     def other(self) -> str:
         return next(name for name in self.names if name != self.location)

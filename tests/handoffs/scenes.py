@@ -54,7 +54,7 @@ def open_ros2_scene(folder: Path, delay_ms: float) -> Iterator[Scene]:
         for host in computers.hosts.values():
             install_ros2(host.home)
             copy_program(host, ros_node.__file__, "ros_node.py")
-        yield Scene(computers.bench, NAMES, a_ros_task(), subscriber)
+        yield Scene(computers.bench, NAMES, a_ros_task(), subscriber, discovers=True)
 
 
 def a_ros_task() -> Task:

@@ -24,10 +24,14 @@ class Message:
 
 @dataclass
 class Subscriber:
-    """``address``, ``port``: where it listens, if at one place. ``messages``: in the order in which they came."""
+    """``address``, ``port``: where it listens, if at one place. ``messages``: in the order in which they came.
+
+    ``publishers``: how many it has discovered, if it has to; a plain sender connects by itself.
+    """
 
     address: str = ""
     port: int = 0
+    publishers: int = 0
     messages: list[Message] = field(default_factory=list)
     guard: threading.Lock = field(default_factory=threading.Lock)
 
@@ -45,6 +49,13 @@ class Subscriber:
         begin, deadline = self.count(), time.monotonic() + patience(30.0)
         while sum(message.sender == sender for message in self.take()[begin:]) < more:
             assert time.monotonic() < deadline, f"no message of {sender}"
+            time.sleep(0.01)
+
+    def wait_for_publishers(self, count: int) -> None:
+        """Wait until the subscriber has discovered ``count`` publishers, those that are silent included."""
+        deadline = time.monotonic() + patience(30.0)
+        while self.publishers < count:
+            assert time.monotonic() < deadline, f"{self.publishers} publishers of {count}"
             time.sleep(0.01)
 
     def add(self, lines: Sequence[str], heard_ns: int) -> None:
