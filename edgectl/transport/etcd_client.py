@@ -40,6 +40,8 @@ class _RefusedError(Exception):
         self.code = code
 
 
+# What a member replies to a read during which the members chose another leader.
+_LEADER_CHANGED = "leader changed"
 _INVALID_ARGUMENT, _NOT_FOUND, _DENIED, _UNAUTHENTICATED = 3, 5, 7, 16
 # Codes of errors that a call repeated at another endpoint does not meet again.
 _FINAL_CODES = (_INVALID_ARGUMENT, _NOT_FOUND, _DENIED, _UNAUTHENTICATED)
@@ -117,7 +119,7 @@ class EtcdClient:
         for left, number in zip(range(len(order), 0, -1), order, strict=True):
             seconds = (deadline - time.monotonic()) / left
             try:
-                reply = self._ask(number, f"/v3/{operation}", body, seconds)
+                reply = self._ask_leader(number, f"/v3/{operation}", body, seconds)
             except _EndpointError as error:
                 failures.append(f"{format_endpoint(endpoints[number])}: {error}")
             else:
@@ -127,6 +129,20 @@ class EtcdClient:
             f"etcd does not answer ({'; '.join(failures)})",
             hint="without it the fleet is not changed; check: edgectl doctor",
         )
+
+    def _ask_leader(self, number: int, path: str, body: Mapping[str, object], seconds: float) -> Document:
+        """The reply, also where the members chose another leader while they worked on the call.
+
+        They reply so once they have a leader again, so this member serves the next call, and may be the last
+        that is left to ask.
+        """
+        deadline = time.monotonic() + seconds
+        try:
+            return self._ask(number, path, body, seconds)
+        except _EndpointError as error:
+            if _LEADER_CHANGED not in str(error):
+                raise
+        return self._ask(number, path, body, deadline - time.monotonic())
 
     def _ask(self, number: int, path: str, body: Mapping[str, object], seconds: float) -> Document:
         status, reply = self._exchange(number, path, json.dumps(body).encode(), seconds)

@@ -189,6 +189,25 @@ def test_a_hostile_server_costs_its_deadline_and_one_line(
     assert told.value.message.isprintable()
 
 
+@pytest.mark.parametrize(("changes", "asked"), [(1, 2), (2, 2)])
+def test_a_member_that_chose_another_leader_is_asked_once_more(changes: int, asked: int) -> None:
+    changed = json.dumps({"error": "etcdserver: leader changed", "code": 14})
+    answers = [reply(changed, "503 Service Unavailable")] * changes + [reply('{"kvs": []}')]
+    calls: list[socket.socket] = []
+
+    def answer(line: socket.socket) -> None:
+        calls.append(line)
+        answers[len(calls) - 1](line)
+
+    with serving(answer) as client:
+        if changes < asked:
+            assert client.call("kv/range", {"key": encode_text("a")}) == {"kvs": []}
+        else:
+            with pytest.raises(CoordinationError, match="leader changed"):
+                client.call("kv/range", {"key": encode_text("a")})
+    assert len(calls) == asked
+
+
 @pytest.mark.parametrize(
     "body",
     [
