@@ -4,7 +4,7 @@
 import math
 from collections.abc import Sequence
 
-from edgectl.export.engine_task import EngineFiles, EngineNeed, EngineTask, note_checks, select_probe
+from edgectl.export.engine_task import EngineFiles, EngineNeed, EngineTask, note_common_gaps, select_probe
 from edgectl.export.kubernetes import count_gpus
 from edgectl.model.image import ContainerImage
 from edgectl.model.secret import Secret
@@ -23,7 +23,7 @@ def build_bluechi_units(tasks: Sequence[EngineTask], fleet: str) -> EngineFiles:
         f"# Starts the tasks of {fleet} where the plan puts them; the units are there already.",
     ]
     for each in tasks:
-        _note_gaps(files, each)
+        _note_bluechi_gaps(files, each)
         suffix = "service" if each.image is None else "container"
         files.files[f"{each.host.name}/{_name_unit(each.label)}.{suffix}"] = _build_unit(each)
         commands.append(f"bluechictl start {each.host.name} {_name_unit(each.label)}.service")
@@ -128,13 +128,9 @@ def _escape_text(text: str) -> str:
     return text.replace("%", "%%")
 
 
-def _note_gaps(files: EngineFiles, each: EngineTask) -> None:
+def _note_bluechi_gaps(files: EngineFiles, each: EngineTask) -> None:
     if any(need.until is NeedCondition.COMPLETED for need in each.needs):
         files.add_note(each, "needs until completed became an order of starts")
-    if any(isinstance(value, Secret) for value in each.env.values()):
-        files.add_note(each, "secrets are expected in /etc/edgectl/TASK.env on the node")
     if each.task.ready is not None or (each.task.alive is not None and each.image is None):
         files.add_note(each, "ready and alive are left out: systemd asks nothing of a service")
-    if each.image is not None and each.image.args:
-        files.add_note(each, "args of the image are left out")
-    note_checks(files, each)
+    note_common_gaps(files, each, secrets="/etc/edgectl/TASK.env on the node")

@@ -10,7 +10,7 @@ from edgectl.export.engine_task import (
     EngineFiles,
     EngineTask,
     check_images,
-    note_checks,
+    note_common_gaps,
     select_probe,
 )
 from edgectl.export.kubernetes import count_gpus
@@ -33,7 +33,7 @@ def build_compose_files(tasks: Sequence[EngineTask], fleet: str) -> EngineFiles:
     files = EngineFiles()
     probed = {each.label for each in tasks if _find_health_command(each) is not None}
     for each in tasks:
-        _note_gaps(files, each)
+        _note_compose_gaps(files, each)
         file: Any = files.files.setdefault(
             f"{each.host.name}.compose.yaml",
             {"x-edgectl": {"fleet": fleet, "host": each.host.name}, "services": {}},
@@ -127,14 +127,9 @@ def _build_condition(until: NeedCondition, probed: bool) -> Service:  # noqa: FB
     return {"condition": "service_healthy" if until is NeedCondition.READY and probed else "service_started"}
 
 
-def _note_gaps(files: EngineFiles, each: EngineTask) -> None:
-    image = each.image
+def _note_compose_gaps(files: EngineFiles, each: EngineTask) -> None:
     if any(need.host != each.host.name for need in each.needs):
         files.add_note(each, "needs on other hosts are left out: a compose file is of one host")
-    if any(isinstance(value, Secret) for value in each.env.values()):
-        files.add_note(each, "secrets are expected in the environment in which the file is run")
-    if image is not None and image.args:
-        files.add_note(each, "args of the image are left out")
     if each.task.ready is not None and each.task.alive is not None:
         files.add_note(each, "alive is left out: a service has one check, and that is ready")
-    note_checks(files, each)
+    note_common_gaps(files, each, secrets="the environment in which the file is run")

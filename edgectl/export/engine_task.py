@@ -9,6 +9,7 @@ from edgectl.errors import UsageError
 from edgectl.model.check import Check, CheckLocation
 from edgectl.model.image import ContainerImage
 from edgectl.model.inventory import Host
+from edgectl.model.secret import Secret
 from edgectl.model.task import NeedCondition, Task, TaskKind
 
 # Seconds between two questions of a probe.
@@ -105,9 +106,13 @@ def select_probe(check: Check | None) -> str | None:
     return check.command
 
 
-def note_checks(files: EngineFiles, each: EngineTask) -> None:
-    """Note the checks of a task that no engine can ask."""
+def note_common_gaps(files: EngineFiles, each: EngineTask, *, secrets: str) -> None:
+    """Note what no engine takes over of a task. ``secrets``: where this one expects their values."""
     task = each.task
+    if any(isinstance(value, Secret) for value in each.env.values()):
+        files.add_note(each, f"secrets are expected in {secrets}")
+    if each.image is not None and each.image.args:
+        files.add_note(each, "args of the image are left out")
     asked = (task.ready, task.alive.check if task.alive is not None else None)
     if any(check is not None and select_probe(check) is None for check in asked):
         files.add_note(each, "checks of a robot or of the ROS graph are left out")

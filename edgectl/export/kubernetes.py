@@ -9,7 +9,7 @@ from edgectl.export.engine_task import (
     EngineFiles,
     EngineTask,
     check_images,
-    note_checks,
+    note_common_gaps,
     select_probe,
 )
 from edgectl.model.check import OnUnhealthy
@@ -31,7 +31,7 @@ def build_manifests(tasks: Sequence[EngineTask], fleet: str) -> EngineFiles:
     check_images(tasks, "Kubernetes")
     files = EngineFiles()
     for each in tasks:
-        _note_gaps(files, each)
+        _note_kubernetes_gaps(files, each)
         files.files[f"{each.label}.yaml"] = _list_manifests(each, _build_labels(each, fleet))
     return files
 
@@ -198,22 +198,18 @@ def _build_mount(name: str, parts: Sequence[str]) -> Manifest:
     return {"name": name, "mountPath": parts[1], **read_only}
 
 
-def _note_gaps(files: EngineFiles, each: EngineTask) -> None:
+def _note_kubernetes_gaps(files: EngineFiles, each: EngineTask) -> None:
     task, image = each.task, _get_image(each)
     if each.needs:
         files.add_note(each, "needs are left out: Kubernetes orders no starts")
-    if any(isinstance(value, Secret) for value in each.env.values()):
-        files.add_note(each, "secrets are expected in a Secret named TASK-env, with a key for each variable")
     if task.stop.signal != "TERM":
         files.add_note(each, f"stop signal {task.stop.signal} is left out: the image states it (STOPSIGNAL)")
     if image.gpus == "all":
         files.add_note(each, "gpus: all became one nvidia.com/gpu")
     if image.devices:
         files.add_note(each, "devices are mounted as paths; access to them needs a device plugin")
-    if image.args:
-        files.add_note(each, "args of the image are left out")
     if image.user and not image.user.split(":")[0].isdigit():
         files.add_note(each, "a user by name is left out: Kubernetes takes numbers")
     if task.alive is not None and task.alive.on_unhealthy is not OnUnhealthy.RESTART:
         files.add_note(each, "alive is left out: it only reports, and a liveness probe restarts")
-    note_checks(files, each)
+    note_common_gaps(files, each, secrets="a Secret named TASK-env, with a key for each variable")

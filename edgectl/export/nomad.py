@@ -4,7 +4,7 @@
 import math
 from collections.abc import Sequence
 
-from edgectl.export.engine_task import EngineFiles, EngineTask, note_checks
+from edgectl.export.engine_task import EngineFiles, EngineTask, note_common_gaps
 from edgectl.export.kubernetes import count_gpus
 from edgectl.model.image import ContainerImage, PullPolicy
 from edgectl.model.secret import Secret
@@ -22,7 +22,7 @@ def build_nomad_jobs(tasks: Sequence[EngineTask], fleet: str) -> EngineFiles:
     """One job file for each task, for ``nomad job run -json``. Tasks without an image use raw_exec."""
     files = EngineFiles()
     for each in tasks:
-        _note_gaps(files, each)
+        _note_nomad_gaps(files, each)
         files.files[f"{each.label}.nomad.json"] = {"Job": _build_job(each, fleet)}
     return files
 
@@ -133,16 +133,14 @@ def _build_secret_template(each: EngineTask, names: Sequence[str]) -> Part:
     return {"DestPath": "secrets/task.env", "Envvars": True, "EmbeddedTmpl": "\n".join(lines) + "\n"}
 
 
-def _note_gaps(files: EngineFiles, each: EngineTask) -> None:
+def _note_nomad_gaps(files: EngineFiles, each: EngineTask) -> None:
     task = each.task
     if each.needs:
         files.add_note(each, "needs are left out: jobs of Nomad do not wait for each other")
-    if any(isinstance(value, Secret) for value in each.env.values()):
-        files.add_note(each, "secrets are expected in the Nomad variable nomad/jobs/TASK")
     if task.ready is not None or task.alive is not None:
         files.add_note(each, "ready and alive are left out: checks that run a command need Consul")
     if task.limits.cpu:
         files.add_note(each, "the limit of cores is left out: Nomad has shares")
-    if each.image is not None and (each.image.args or each.image.user):
-        files.add_note(each, "user and args of the image are left out")
-    note_checks(files, each)
+    if each.image is not None and each.image.user:
+        files.add_note(each, "the user of the image is left out")
+    note_common_gaps(files, each, secrets="the Nomad variable nomad/jobs/TASK")
