@@ -253,10 +253,8 @@ class ResourceRows(NamedTuple):
 
 def list_limiting_resources(fleet: Capacities, task: Task) -> Sequence[str]:
     """The resources of hosts that limit some place, and those that only ``task`` demands."""
-    counted = fleet.counted
-    if len(counted) == len(_HOST_NAMES):
-        return counted
-    return [name for name in _HOST_NAMES if name in counted or task.demand[name] is not None]
+    counted, others = fleet.counted, list_uncounted_demands(fleet, task)
+    return [name for name in _HOST_NAMES if name in counted or name in others] if others else counted
 
 
 def list_uncounted_demands(fleet: Capacities, task: Task) -> list[str]:
