@@ -258,23 +258,6 @@ class ArrayTotals:
         places: list[int] = (row >= level).nonzero()[0].tolist()
         return places
 
-    def find_leaders(self) -> tuple[int, int | None] | None:
-        """The first and the second place, the second only if it is feasible; None where none is feasible, or
-        totals are so close that ties decide (`choice.find_best_place`, `ranking.find_challenger`).
-        """
-        row = self.row
-        first = int(row.argmax())
-        top, row[first] = row[first], EXCLUDED_TOTAL
-        second = int(row.argmax())
-        other, row[second] = row[second], EXCLUDED_TOTAL
-        third = row[row.argmax()]
-        row[second], row[first] = other, top
-        if not is_feasible_total(top) or other >= top - EPSILON:
-            return None
-        if not is_feasible_total(other):
-            return first, None
-        return None if third >= other - 2 * EPSILON else (first, second)
-
     def copy(self) -> "ArrayTotals":
         """An independent row with the same totals."""
         return ArrayTotals(self.row.copy())

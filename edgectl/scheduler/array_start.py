@@ -8,31 +8,33 @@ in full: both ways make the same decision to the last bit.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import field
 from functools import partial
 from types import MappingProxyType
 from typing import NamedTuple
 
-import numpy as np
-
 from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.demand import ZERO
-from edgectl.model.policy import Preference
-from edgectl.model.resource import AFFINITY, LATENCY, NETWORK, RATING, RESOURCES_BY_NAME
+from edgectl.model.resource import AFFINITY, LATENCY, NETWORK, RESOURCES_BY_NAME
 from edgectl.model.task import Task
-from edgectl.scheduler.array_scan import Array, ArrayScan, ArrayTotals, FreeArrays, fill_link_terms
+from edgectl.scheduler.array_leaders import (
+    LEAST_TERM,
+    StartTotals,
+    build_start_totals,
+    fill_totals,
+    find_leaders,
+    rate_places,
+)
+from edgectl.scheduler.array_scan import ArrayTotals
 from edgectl.scheduler.candidates import AssignmentContext, get_edge_rejections
 from edgectl.scheduler.demand import demand_at
 from edgectl.scheduler.latency import NO_LATENCY_TERM, has_prediction
 from edgectl.scheduler.lazy_ranking import LazyCounts, LazyDemands, LazyRanking, LoadHistory, RankingRequest
 from edgectl.scheduler.ledger import Ledger
-from edgectl.scheduler.scan import EXCLUDED_TOTAL, list_uncounted_demands
+from edgectl.scheduler.scan import list_uncounted_demands
 from edgectl.scheduler.task_usage import TaskUsage
 from edgectl.scheduler.utility import EPSILON, compute_affinity, resource_utility
 
-# A term of this or more fits by the scan as well as by the reference, however they round.
-_LEAST_TERM = -EPSILON / 2
 _NONE_MEASURED: Mapping[str, float] = MappingProxyType({})
 Starter = Callable[[Task, Mapping[str, int]], "Start | None"]
 
@@ -70,39 +72,33 @@ class StartTable:
 
     ``rows`` by resource that counts: name and weight; of hosts also capacity before and after limits, and
     gamma, by place. ``idle``: a load of nothing. ``history``: of the pass, where decisions are asked for.
-    ``totals`` by place, and ``links``, UT_net by edge, are of the last task, as is ``scratch``.
-    ``utilities``: UT_task by reward, by the number of predecessors and the rewards.
     """
 
+    start: StartTotals
     context: AssignmentContext
     ledger: Ledger
-    arrays: ArrayScan
-    free: FreeArrays
     history: LoadHistory | None
-    totals: ArrayTotals
-    links: Array
-    scratch: Array
     rows: Sequence[tuple[str, float, Sequence[float], Sequence[float], Sequence[float]]]
     idle: Mapping[str, float]
-    utilities: dict[tuple[int, ...], Mapping[int, float]] = field(default_factory=dict)
 
 
-def build_starter(context: AssignmentContext, ledger: Ledger, history: LoadHistory | None) -> Starter | None:
-    """Starts tasks in a pass with ``ledger``; None where totals alone never decide.
+def build_starter(
+    context: AssignmentContext, ledger: Ledger, history: LoadHistory | None, placed: Mapping[int, int]
+) -> Starter | None:
+    """Starts tasks in a pass with ``ledger``; None where totals alone never decide. ``placed``: how many the
+    pass has put on each place so far.
 
     The tasks run nowhere, and no rule between tasks concerns them. None of a task: the full way must decide.
     """
     policy, fleet = context.policy, context.fleet
-    plain = policy.prefer is not Preference.PACK and context.rules.edges
-    others = (LATENCY, RATING, *(name for name in ledger.used if name not in fleet.counted))
-    plain = plain and not any(policy.weights[name] for name in others)
-    if context.arrays is None or ledger.mirror is None or not plain:
+    start = build_start_totals(context, ledger, placed)
+    if start is None:
         return None
     table = StartTable(
+        start=start,
         context=context,
         ledger=ledger,
-        arrays=context.arrays,
-        free=ledger.mirror,
+        history=history,
         rows=[
             (
                 name,
@@ -115,10 +111,6 @@ def build_starter(context: AssignmentContext, ledger: Ledger, history: LoadHisto
             if name == NETWORK.name or name in fleet.counted
         ],
         idle=dict.fromkeys((name for name in RESOURCES_BY_NAME if name in ledger.used), 0.0),
-        history=history,
-        totals=ArrayTotals(np.full(len(fleet.places), EXCLUDED_TOTAL)),
-        links=np.empty(fleet.edges),
-        scratch=np.empty(fleet.edges),
     )
     return partial(_start_task, table)
 
@@ -147,20 +139,20 @@ def _find_outcome(table: StartTable, task: Task, predecessors: Mapping[str, int]
     located = tuple(predecessors.values())
     denied = get_edge_rejections(context, task)
     near = {place for place in located if place < fleet.edges and place not in denied}
-    utilities = _rate_places(table, located, near, far=len(denied) + len(near) < fleet.edges)
-    _compute_totals(table, task, near, located, utilities)
+    utilities = rate_places(table.start, located, near, far=len(denied) + len(near) < fleet.edges)
+    fill_totals(table.start, task, near, located, utilities)
     if denied:
-        table.totals.exclude(denied)
-    leaders = table.totals.find_leaders()
+        table.start.totals.exclude(denied)
+    leaders = find_leaders(table.start, task, located)
     if leaders is None:
         return None
 
     def score(place: int) -> Score | None:
         return _score_edge(table, task, place, utilities[compute_affinity(located, place)])
 
-    first = score(leaders[0])
-    second = None if leaders[1] is None else score(leaders[1])
-    if first is None or (second is None) is not (leaders[1] is None):
+    first = score(leaders.first)
+    second = None if leaders.second is None else score(leaders.second)
+    if first is None or (second is None) is not (leaders.second is None):
         return None
     if task.hosts.pin is not None:
         return _Outcome(first, second, Reason.PINNED)
@@ -168,7 +160,7 @@ def _find_outcome(table: StartTable, task: Task, predecessors: Mapping[str, int]
         return _Outcome(first, None, Reason.ONLY_FEASIBLE)
     if first.place not in near:
         return _Outcome(first, second, Reason.BEST)
-    return _compare_without_affinity(predecessors, table.totals, near, (first, second), score)
+    return _compare_without_affinity(predecessors, table.start.totals, near, (first, second), score)
 
 
 def _compare_without_affinity(
@@ -190,39 +182,6 @@ def _compare_without_affinity(
     return _Outcome(first, second, Reason.WITH_PREDECESSOR, there)
 
 
-def _rate_places(
-    table: StartTable, located: tuple[int, ...], near: Collection[int], *, far: bool
-) -> Mapping[int, float]:
-    """UT_task by reward: of the places ``near`` predecessors, and of others if there are any (``far``)."""
-    rewards = {compute_affinity(located, place) for place in near}
-    if far:
-        rewards.add(-len(located))
-    key = len(located), *rewards
-    found = table.utilities.get(key)
-    if found is None:
-        found = table.utilities[key] = table.context.rules.rate_affinity(rewards, len(located))
-    return found
-
-
-def _compute_totals(
-    table: StartTable,
-    task: Task,
-    near: Collection[int],
-    located: tuple[int, ...],
-    utilities: Mapping[int, float],
-) -> None:
-    """Eq. (4) at every edge, whether the task fits there or not: see `ArrayScan.compute_totals`."""
-    weights, shares, free = table.context.policy.weights, table.arrays.shares, table.free
-    weight, far = weights[AFFINITY], utilities.get(-len(located), 0.0)
-    row = table.totals.row
-    totals = np.add(free.weighted, weight * far, out=row[: len(free.weighted)])
-    totals -= shares.weigh_hosts(task, table.arrays.weights)
-    fill_link_terms(table.links, free, shares, task)
-    totals += np.multiply(table.links, weights[NETWORK.name], out=table.scratch)
-    for place in near:
-        row[place] += weight * (utilities[compute_affinity(located, place)] - far)
-
-
 def _list_rivals(
     totals: ArrayTotals,
     near: Collection[int],
@@ -231,16 +190,11 @@ def _list_rivals(
     score: Callable[[int], Score | None],
 ) -> list[Score | None]:
     """The other places that might have won without predecessors: beside one, and the best of the rest."""
-    rest: Score | None = second
-    places = [place for place in near if place != first.place]
-    if second.place in near:
-        others = totals.copy()
-        others.exclude(near)
-        top = others.find_top()
-        if top is None:
-            return [score(place) for place in places]
-        rest = score(top)
-    return [rest, *(score(place) for place in places)]
+    others = totals.copy()
+    others.exclude(near)
+    top = others.find_top()
+    rest = [] if top is None else [second if top == second.place else score(top)]
+    return [*rest, *(score(place) for place in near if place != first.place)]
 
 
 def _score_edge(table: StartTable, task: Task, place: int, utility: float) -> Score | None:
@@ -275,7 +229,7 @@ def _score_edge(table: StartTable, task: Task, place: int, utility: float) -> Sc
             used[name] = amount
             capacity = usable[place]
             term = resource_utility(capacity, loads[place], amount) if capacity > 0 else -1.0
-        if term < _LEAST_TERM:
+        if term < LEAST_TERM:
             return None
         total += weight * term
     affinity = weights[AFFINITY] * utility

@@ -60,7 +60,8 @@ class Ledger:
         """Add a task's load: gamma += rho for every resource."""
         self.tasks[place] += 1
         for name, amount in use.used.items():
-            self._set(place, name, self.used[name][place] + amount)
+            if amount:  # most resources are demanded by few tasks
+                self._set(place, name, self.used[name][place] + amount)
         self._weigh(place)
         for robot, rate in use.links.items():
             self._set_link(place, robot, self.links[robot][place] + rate)
@@ -69,7 +70,8 @@ class Ledger:
         """Take a task's load out of gamma, never below 0."""
         self.tasks[place] = max(0, self.tasks[place] - 1)
         for name, amount in use.used.items():
-            self._set(place, name, max(0.0, self.used[name][place] - amount))
+            if amount:
+                self._set(place, name, max(0.0, self.used[name][place] - amount))
         self._weigh(place)
         for robot, rate in use.links.items():
             self._set_link(place, robot, max(0.0, self.links[robot][place] - rate))

@@ -3,11 +3,11 @@
 
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 from edgectl.model.assignment import RankedHost, Rejection, RejectionRule, UtilityTerms
-from edgectl.scheduler.candidates import CandidateSet, Totals, latency_at, terms_at
+from edgectl.scheduler.candidates import AssignmentContext, CandidateSet, Totals, latency_at, terms_at
 from edgectl.scheduler.demand import list_resource_demands
 from edgectl.scheduler.scan import EXCLUDED_TOTAL, INFEASIBLE_PENALTY, is_feasible_total
 from edgectl.scheduler.ties import order_tied_places
@@ -60,7 +60,11 @@ def find_challenger(candidates: CandidateSet, chosen: int | None) -> ScoredPlace
     if chosen is not None and is_feasible_total(candidates.totals[chosen]):
         near.append(chosen)
     near.sort()
-    shown = near if _is_full(candidates) else sorted(_keep_best(candidates, near, chosen))
+    shown = (
+        near
+        if is_ranking_full(candidates.context, candidates.listed)
+        else sorted(_keep_best(candidates, near, chosen))
+    )
     first = _find_first_tied(candidates, shown, chosen)
     if first is not None and not first.rejections:
         return first
@@ -97,9 +101,9 @@ def exclude_places(candidates: CandidateSet, places: Sequence[int]) -> Totals:
     return totals
 
 
-def _is_full(candidates: CandidateSet) -> bool:
-    """Whether the ranking holds every host."""
-    return len(candidates.listed) <= MAX_FULL_RANKING or candidates.context.policy.full
+def is_ranking_full(context: AssignmentContext, listed: Collection[int]) -> bool:
+    """Whether a ranking of the places ``listed`` holds all of them."""
+    return len(listed) <= MAX_FULL_RANKING or context.policy.full
 
 
 def _keep_best(candidates: CandidateSet, places: Sequence[int], chosen: int | None) -> set[int]:
@@ -112,7 +116,7 @@ def _select_shown_places(
     candidates: CandidateSet, chosen: int | None
 ) -> tuple[Sequence[int], dict[str, int]]:
     """The places that the ranking holds, and how many rejected ones it leaves out, by rule."""
-    if _is_full(candidates):
+    if is_ranking_full(candidates.context, candidates.listed):
         return candidates.listed, {}
     totals = candidates.totals
     best = sorted(candidates.listed, key=totals.__getitem__, reverse=True)
@@ -159,7 +163,7 @@ def _sort_by_total(candidates: CandidateSet, hosts: list[ScoredPlace]) -> list[S
 
 def _compute_rank(candidates: CandidateSet, host: ScoredPlace, position: int) -> int:
     """The position; an incumbent kept below a shortened ranking gets the position that it has among all."""
-    if position <= SHORT_RANKING or _is_full(candidates):
+    if position <= SHORT_RANKING or is_ranking_full(candidates.context, candidates.listed):
         return position
     return max(
         position, 1 + sum(total > candidates.totals[host.place] + EPSILON for total in candidates.totals)

@@ -118,7 +118,7 @@ def run_pass(how: PlacementPass, state: InitialState, prior_moves: Mapping[str, 
         if how.rules.settles and how.rules.choose is choose_by_utility:
             from edgectl.scheduler.array_start import build_starter
 
-            progress.start = build_starter(how.context, progress.ledger, progress.history)
+            progress.start = build_starter(how.context, progress.ledger, progress.history, progress.placed)
     for task in how.order:
         fixed = state.fixed.get(task.name)
         if fixed is None:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Order of places with equal totals (ADR 0008)."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from edgectl.model.policy import Preference
 from edgectl.model.resource import AFFINITY, NETWORK
-from edgectl.scheduler.candidates import CandidateSet, resource_terms_at
+from edgectl.scheduler.candidates import AssignmentContext, CandidateSet, resource_terms_at
 from edgectl.scheduler.utility import EPSILON
 
 
@@ -13,12 +13,12 @@ def order_tied_places(candidates: CandidateSet, places: Sequence[int]) -> list[i
     """Places of equal total, the one to choose first: incumbent, greatest sum of the resource terms (least
     where full hosts are preferred), fewest tasks placed in this pass, natural order.
     """
-    order, levels = candidates.context.fleet.order, _rank_free_shares(candidates, places)
+    order, ranks = candidates.context.fleet.order, _rank_free_shares(candidates, places)
     return sorted(
         places,
         key=lambda place: (
             place != candidates.incumbent,
-            levels.get(place, 0),
+            ranks.get(place, 0),
             candidates.placed.get(place, 0),
             order[place],
         ),
@@ -26,21 +26,31 @@ def order_tied_places(candidates: CandidateSet, places: Sequence[int]) -> list[i
 
 
 def _rank_free_shares(candidates: CandidateSet, places: Sequence[int]) -> dict[int, int]:
-    """The rank of each place by the sum of its resource terms; empty where equal totals imply equal sums."""
-    weights = candidates.context.policy.weights
-    counted = (*candidates.context.fleet.counted, NETWORK.name)
-    alike = {weights[name] for name in counted}
-    if len(alike) == 1 and 0.0 not in alike and (not candidates.located or not weights[AFFINITY]):
+    """The rank of each place by the sum of its resource terms; empty where they decide nothing."""
+    if not is_free_share_weighed(candidates.context, candidates.located):
         return {}
     sums = {place: _sum_resource_terms(candidates, place) for place in places}
-    levels: dict[int, int] = {}
-    level, last = 0, None
-    packs = candidates.context.policy.prefer is Preference.PACK
-    for place in sorted(places, key=sums.__getitem__, reverse=not packs):
-        if last is not None and abs(last - sums[place]) > EPSILON:
-            level += 1
-        levels[place], last = level, sums[place]
-    return levels
+    return rank_sums(sums, packs=candidates.context.policy.prefer is Preference.PACK)
+
+
+def is_free_share_weighed(context: AssignmentContext, located: Collection[int]) -> bool:
+    """Whether places of equal totals may have other sums of resource terms; ``located``: predecessors."""
+    weights = context.policy.weights
+    alike = {weights[name] for name in (*context.fleet.counted, NETWORK.name)}
+    return len(alike) > 1 or 0.0 in alike or bool(located and weights[AFFINITY])
+
+
+def rank_sums(sums: Mapping[int, float], *, packs: bool = False, gap: float = EPSILON) -> dict[int, int]:
+    """The rank of each place by its sum, the greatest first (``packs``: the least); one that is no more than
+    ``gap`` after another has the same.
+    """
+    ranks: dict[int, int] = {}
+    rank, last = 0, None
+    for place in sorted(sums, key=sums.__getitem__, reverse=not packs):
+        if last is not None and abs(last - sums[place]) > gap:
+            rank += 1
+        ranks[place], last = rank, sums[place]
+    return ranks
 
 
 def _sum_resource_terms(candidates: CandidateSet, place: int) -> float:

@@ -4,13 +4,27 @@
 import sys
 from collections import Counter
 from collections.abc import Callable
+from random import Random
 from types import FrameType
 
 import pytest
 from hypothesis import given, settings
 
+from edgectl.config.weights import parse_weights
 from edgectl.model.assignment import Assignment
+from edgectl.model.policy import Policy
 from tests.benchmarks.planner import DIGESTS, add_measured_demand, build_fleet, digest_decisions
+from tests.builders import (
+    GI,
+    a_link,
+    a_robot,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    some_tasks,
+)
 from tests.scheduler.fleets import NO_MEMORY
 from tests.scheduler.test_properties import Case, cases
 from tests.scheduler.test_scan import a_view
@@ -78,10 +92,41 @@ def test_a_large_plan_weighs_few_tasks_in_full(measured: bool) -> None:
     fleet = TightFleet(inventory=inventory, tasks=tasks, snapshot=snapshot, memory=memory)
     found = count_calls(lambda: assign_with_arrays(fleet))
     assert found["_start_task"] == 240
-    # The others tie, or nearly.
-    assert found["weigh_candidates"] <= 24
+    assert found["weigh_candidates"] == 0, "ties are decided from arrays too"
     assert found["run_pass"] == 1, "bounds show that the repetition changes nothing"
     assert found["resolve_demand"] <= 24, "of nearly all tasks only numbers are asked for"
+
+
+def build_fleet_of_ties(seed: int, weights: str, *, edges: int) -> TightFleet:
+    """Edges of one or two kinds with names in reverse order of their places, and tasks of three kinds."""
+    dice = Random(seed)
+    sizes = [4.0, dice.choice([4.0, 8.0])]
+    samples = {
+        f"edge{edges - n}": a_sample(cores=sizes[n % 2], used=dice.choice([0.0, 0.0, 0.5]), links={robot: a_link() for robot in ("robot1", "robot2")})
+        for n in range(edges)
+    }  # fmt: skip
+    tasks = [
+        a_task(f"task{n}", cpu=dice.choice([0.0, 0.1, 0.2]), memory=dice.choice([0.0, GI / 8]), throughput=dice.choice([0.0, 1e5]),
+               robots=dice.sample(["robot1", "robot2"], dice.randint(0, 2)),
+               needs=[f"task{other}" for other in dice.sample(range(n), min(n, dice.choice([0, 0, 1, 2])))])
+        for n in range(edges * 2)
+    ]  # fmt: skip
+    return TightFleet(
+        inventory=an_inventory(*map(an_edge, samples), a_robot("robot1"), a_robot("robot2")),
+        tasks=some_tasks(*tasks),
+        snapshot=a_snapshot(samples),
+        memory=NO_MEMORY,
+        policy=Policy(weights=parse_weights(weights)),
+    )
+
+
+@pytest.mark.parametrize("weights", ["all", "cpu", "resources", "cpu=.5,memory=.2,task=.3"])
+@pytest.mark.parametrize("edges", [6, 17, 66])
+def test_ties_are_decided_the_same_from_arrays(edges: int, weights: str) -> None:
+    seeds = range(2 if edges > 64 else 5)
+    fleets = [build_fleet_of_ties(seed, weights, edges=edges) for seed in seeds]
+    for fleet in fleets:
+        assert assign_with_arrays(fleet) == fleet.assign()
 
 
 @pytest.mark.parametrize("seed", range(80))
