@@ -188,7 +188,8 @@ def skew_all_clocks(fleet: FaultFleet) -> None:
     skew_host(fleet, fleet.second, fleet.random.choice([-3650 * DAY, 3650 * DAY]))
     fleet.pin_task("slam", fleet.second)
     fleet.add_task("map", on=fleet.first)
-    fleet.tasks["map"]["command"] = f'date +%s > "$HOME/oracle/records/date"; {fleet.tasks["map"]["command"]}'
+    # On the host, also where the task runs in a container.
+    fleet.tasks["map"]["ready"] = {"command": 'date +%s > "$HOME/oracle/records/date"'}
     fleet.write_files()
     fleet.apply(**build_skewed_env(fleet, DAY)).expect_exit(0)
     fleet.check_verdict()
