@@ -108,6 +108,9 @@ class ComputerEngine(EngineClient):
 
     def thaw(self) -> None:
         _send(self.list_daemons("dockerd"), signal.SIGCONT)
+        if self.process is not None:
+            # nsenter stops with what it has started, and not only that.
+            self.process.send_signal(signal.SIGCONT)
 
     def _end(self, number: signal.Signals) -> None:
         _send(self.list_daemons("dockerd"), number)
@@ -125,6 +128,7 @@ class ComputerEngine(EngineClient):
     def forget(self) -> None:
         """Wait for the end of what has started the engine, which ends with it."""
         if self.process is not None:
+            self.process.send_signal(signal.SIGCONT)
             self.process.wait(patience(_START_S))
             self.process = None
 
