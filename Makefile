@@ -111,11 +111,12 @@ browser: setup
 	@.ci/need-browser
 	@$(PY) -m tests.suite tests/browser -n 0
 
-# The whole fault matrix on real hosts; make faults SEED=7 draws other moments and bytes.
+# The whole fault matrix on real hosts, over commands and over containers; make faults SEED=7 draws other moments and bytes.
 # Then a death of the manager at each failpoint, and a hundred random lives, over simulated hosts.
 faults: setup
 	@.ci/need-faults
 	@.ci/need-etcd
+	@.ci/need-docker
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.faults --seed $(or $(SEED),1)
 	@$(PY) -m tests.simulation --seed $(or $(SEED),1)
 	@$(PY) -m tests.suite --whole tests/usecases/test_recovery.py tests/usecases/test_interrupted_commands.py tests/usecases/test_random_events.py -n 2 --dist load

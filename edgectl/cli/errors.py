@@ -13,6 +13,8 @@ from edgectl.names import format_alternatives
 
 # Typer's message for an unknown word, with its suggestions.
 _TYPER_SUGGESTION = re.compile(r"(.+?)\.? \(?(?:Did you mean(?: one of:)?|Possible options:) (.+?)[?)]+")
+# Options that sort and cut one table.
+_OF_LISTS = ("--sort-by", "--field", "--no-headers", "-l")
 
 
 def handle_error(error: Exception, words: Sequence[str]) -> int:
@@ -47,6 +49,9 @@ def _usage_error_from_typer(error: Exception, words: Sequence[str] = ()) -> Usag
             hint=f"run {command} {format_alternatives(words)}",
         )
     said = " ".join(error.format_message().split()).replace("a valid int range", "a whole number").rstrip(".")
+    if command == "edgectl status" and said.partition(": ")[2] in _OF_LISTS:
+        listed = shlex.join(["edgectl", "get", "tasks", *words[1:]])
+        return UsageError(said, hint=f"status is a report of several tables; a list takes it: {listed}")
     if guessed := _TYPER_SUGGESTION.fullmatch(said):
         return UsageError(
             guessed[1],

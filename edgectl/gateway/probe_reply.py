@@ -296,6 +296,7 @@ def _build_device(reply: ProbeReply, document: ReplyDocument, answered_at: float
         gpu_share=None if reply.gpu_share is None else min(reply.gpu_share, 1.0),
         power_w=None if drawn is None else getattr(drawn, POWER.used_key),
         boot_id=reply.boot_id,
+        pid_namespace=reply.pid_namespace,
         clock_skew_s=None if reply.wall is None else reply.wall - answered_at,
         interfaces={name: _build_interface(each) for name, each in reply.interfaces.items()},
     )

@@ -18,6 +18,8 @@ def run_program_on_host(
 ) -> ProgramReply:
     """Run ``argv`` on ``host`` as the user of the login; it is killed with its group after ``timeout`` s.
 
+    What it leaves running when it ends before goes on.
+
     Raises:
         RefusedError: there is no such program.
         HostError: the host did not answer.

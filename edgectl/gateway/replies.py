@@ -190,6 +190,7 @@ class ProbeReply:
     sample_age_s: Age = 0.0
     resident: bool = False
     boot_id: Text = ""
+    pid_namespace: Text = ""
     machine: Text = ""
     wall: Clock | None = None
     load_1m: Amount | None = None

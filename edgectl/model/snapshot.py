@@ -200,13 +200,17 @@ class InterfaceSample:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeviceSample:
-    """Readings of the device profiler besides the resources, where the host shows them."""
+    """Readings of the device profiler besides the resources, where the host shows them.
+
+    ``pid_namespace``: which processes of that boot its login sees; those of a container are fewer.
+    """
 
     load_1m: float | None = None
     temperature_c: Signed | None = None
     gpu_share: float | None = None
     power_w: float | None = None
     boot_id: str = ""
+    pid_namespace: str = ""
     clock_skew_s: Signed | None = None
     interfaces: Mapping[str, InterfaceSample] = field(default_factory=dict)
 

@@ -116,16 +116,26 @@ def list_fence_marks(host: str, inventory: Inventory, manager: ManagerState) -> 
 def find_shared_machine(inventory: Inventory, snapshot: Snapshot) -> tuple[str, str] | None:
     """Two hosts that answered from one machine, and are not both slices of it; None: there are none.
 
-    The same machine has the same machine id and the same boot: images that were copied share only the first,
-    containers only the second.
+    The same machine has the same boot and the same machine id: images that were copied share only the second,
+    containers only the first. Where one of two has no machine id, they are one if they see the same processes
+    (ADR 168).
     """
-    found: dict[tuple[str, str], str] = {}
+    found: dict[str, list[tuple[str, HostSample]]] = {}
     for name, sample in snapshot.hosts.items():
-        machine = sample.machine.partition("/")[0]
         host = inventory.hosts.get(name)
-        if host is None or host.shares_machine or not (machine and sample.device.boot_id):
+        if host is None or host.shares_machine or not sample.device.boot_id:
             continue
-        other = found.setdefault((machine, sample.device.boot_id), name)
-        if other != name:
-            return other, name
+        booted = found.setdefault(sample.device.boot_id, [])
+        for other, seen in booted:
+            if _is_same_machine(seen, sample):
+                return other, name
+        booted.append((name, sample))
     return None
+
+
+def _is_same_machine(one: HostSample, other: HostSample) -> bool:
+    """Whether two hosts with the same boot are one machine."""
+    ids = [each.machine.partition("/")[0] for each in (one, other)]
+    if not all(ids):
+        ids = [each.device.pid_namespace for each in (one, other)]
+    return ids[0] == ids[1] != ""

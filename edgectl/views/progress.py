@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator
 from edgectl.model.progress import ProgressEvent, ProgressListener, ProgressStage
 from edgectl.model.snapshot import HostSample
 from edgectl.units import format_duration
-from edgectl.views.results import format_action_result
 from edgectl.views.text import detect_render_options, escape_unprintable
 
 ProbeListener = Callable[[str, HostSample, float], None]
@@ -70,6 +69,9 @@ def _advance_bar(event: ProgressEvent, advance: Callable[..., None]) -> None:
 
 def _print_action_end(event: ProgressEvent, guard: threading.Lock) -> None:
     if event.stage is ProgressStage.ACTION_END and event.result is not None:
+        # The tables of results are no part of a probe.
+        from edgectl.views.results import format_action_result
+
         with guard:
             print_progress_line(
                 f"{event.action} {event.task}: {event.result.outcome} ({format_action_result(event.result)})"

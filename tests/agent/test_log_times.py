@@ -4,8 +4,6 @@
 import os
 import random
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +17,7 @@ from edgectl.agent.supervise.log_select import EARLY_NOTE, LATE_NOTE, read_selec
 from edgectl.agent.supervise.logfile import LogWriter, read_log_tail
 from edgectl.errors import RefusedError
 from tests.agent.conftest import AgentHost, both_runtimes, eventually
+from tests.agent.little_room import write_with_little_room
 from tests.agent.test_takeover import take_over
 from tests.pace import patience
 
@@ -243,25 +242,8 @@ def test_a_step_of_the_wall_clock_does_not_matter(tmp_path: Path) -> None:
 
 
 def test_without_room_for_times_the_log_goes_on(tmp_path: Path) -> None:
-    program = (
-        "import resource, signal, sys\n"
-        "from edgectl.agent.supervise.logfile import LogWriter\n"
-        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))\n"
-        "log = LogWriter(sys.argv[1], 4096, 2)\n"
-        "log.begin_run()\n"
-        "for number in range(500): log.write(b'line %d\\n' % number)\n"
-        "print(log.dropped)\n"
-    )
-    # -B: Python would leave the first 5000 bytes of what it compiles as the whole, for every other test.
-    done = subprocess.run(
-        [sys.executable, "-B", "-c", program, str(tmp_path)],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=patience(20),
-    )
-    assert done.stdout == "0\n"
+    lines = [b"line %d\n" % number for number in range(500)]
+    assert write_with_little_room(tmp_path, lines, max_bytes=4096) == 0
     with pytest.raises(RefusalError, match="the disk had no room"):
         read_lines(tmp_path, 60.0)
     # With room again, what follows has times.

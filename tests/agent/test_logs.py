@@ -2,7 +2,6 @@
 """Log files: bounded, clipped, lost bytes counted, read back and followed."""
 
 import os
-import subprocess
 import sys
 import time
 from contextlib import suppress
@@ -14,6 +13,7 @@ from edgectl.agent.supervise import liveness
 from edgectl.agent.supervise.logfile import MAX_LINE_BYTES, LogWriter, read_log_tail
 from edgectl.transport.agent_client import stream_agent_log
 from tests.agent.conftest import AgentHost, both_runtimes, eventually
+from tests.agent.little_room import write_with_little_room
 from tests.pace import patience
 
 
@@ -47,24 +47,7 @@ def test_long_lines_are_clipped_and_marked(tmp_path: Path) -> None:
 
 
 def test_disk_trouble_is_counted_and_does_not_raise(tmp_path: Path) -> None:
-    program = (
-        "import resource,signal,sys\n"
-        "from edgectl.agent.supervise.logfile import LogWriter\n"
-        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))\n"
-        "log = LogWriter(sys.argv[1], 100000, 2)\n"
-        "for _ in range(10): log.write(b'x' * 999 + b'\\n')\n"
-        "print(log.dropped)\n"
-    )
-    # -B: Python would leave the first 5000 bytes of what it compiles as the whole, for every other test.
-    done = subprocess.run(
-        [sys.executable, "-B", "-c", program, str(tmp_path)],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=patience(20),
-    )
-    assert done.stdout == "5000\n"
+    assert write_with_little_room(tmp_path, [b"x" * 999 + b"\n"] * 10, max_bytes=100_000) == 5000
     assert sizes(tmp_path) == {"log.0": 5000}
 
 

@@ -147,6 +147,20 @@ def test_a_comment_silences_a_warning_of_its_line_or_the_line_below(
             "-o json describe edge edge1",
             "error: No such option: -o\nhint: options follow the command: edgectl describe edge -o json edge1\n",
         ),
+        (
+            "status --sort-by cpu.used_cores",
+            (
+                "error: No such option: --sort-by\nhint: status is a report of several tables; a list takes it: "
+                "edgectl get tasks --sort-by cpu.used_cores\n"
+            ),
+        ),
+        (
+            "status -i X -l robot=robot1",
+            (
+                "error: No such option: -l\nhint: status is a report of several tables; a list takes it: "
+                "edgectl get tasks -i X -l robot=robot1\n"
+            ),
+        ),
     ],
 )
 def test_wrong_words_are_answered_with_64_and_the_right_ones(words: str, said: str, run: Run) -> None:

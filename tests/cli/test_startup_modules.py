@@ -108,7 +108,7 @@ def start(folder: Path, env: dict[str, str], *words: str) -> Start:
         (("--help",), 165, 40, SSH | PLANNING),
         (("validate",), 298, 85, SSH | PLANNING),
         (("plan", "--snapshot", "snap.json"), 444, 175, SSH),
-        (("probe", "--window", "0"), 556, 170, PLANNING),
+        (("probe", "--window", "0"), 556, 170, PLANNING | {"edgectl.views.results"}),
         (("plan",), 631, 240, set()),
         (("apply", "-y"), 662, 260, set()),
         (("status",), 627, 235, set()),

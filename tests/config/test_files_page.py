@@ -150,6 +150,7 @@ def test_keys_of_a_snapshot_are_complete() -> None:
         gpu_share=1.0,
         power_w=1.0,
         boot_id="b",
+        pid_namespace="pid:[1]",
         clock_skew_s=1.0,
         interfaces={"eth0": InterfaceSample(rx_bytes_per_s=1, tx_bytes_per_s=1)},
     )

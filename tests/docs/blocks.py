@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tests.cli.inprocess import edgectl
-from tests.leftovers import list_started_in
+from tests.leftovers import end_started_in, list_started_in
 from tests.pace import patience
 
 # Characters with a meaning to the shell.
@@ -91,7 +91,8 @@ def make_tasks_idle(site: Path) -> None:
 
 @contextlib.contextmanager
 def stopped(env: Mapping[str, str], *sites: Path) -> Iterator[None]:
-    """Finally stop everything that was started in ``sites``, and check that no process of it is left.
+    """Finally stop everything that was started in ``sites`` and in the fleets that were made below them, and check
+    that no process of it is left; one that is, is killed.
 
     Local hosts keep what they started in the state directory of the manager.
     """
@@ -99,11 +100,13 @@ def stopped(env: Mapping[str, str], *sites: Path) -> Iterator[None]:
     try:
         yield
     finally:
+        made = {folder.parent for site in sites for folder in site.rglob("inventories")}
         for words in (["stop", "--all", "--yes"], ["profilers", "stop"]):
-            for site in sites:
+            for site in (*sites, *sorted(made.difference(sites))):
                 if list_started_in(state):
                     edgectl(words, site, env)
         deadline = time.monotonic() + patience(10)
-        while left := list_started_in(state):
-            assert time.monotonic() < deadline, f"still running: {left}"
+        while list_started_in(state) and time.monotonic() < deadline:
             time.sleep(0.05)
+        left = end_started_in(state)
+        assert not left, f"were still running: {left}"

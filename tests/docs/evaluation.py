@@ -13,7 +13,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
@@ -21,50 +21,78 @@ from pathlib import Path
 from edgectl.experiments.files.run_directory import load_run
 from edgectl.experiments.model.comparison import SchemeResult
 from edgectl.experiments.model.experiment import ExperimentRun, Trial
+from edgectl.experiments.scheme_comparison import MISSION_TIME, compare_schemes
 from edgectl.experiments.scheme_results import compute_estimate, summarize_trials
+from edgectl.experiments.views.answer import describe_answer
 from tests.docs.blocks import environment
-from tests.experiments.lab.machine import FILE_NAME, MachineSample, compute_others, load_samples
+from tests.experiments.lab.disturbances import (
+    ASIDE,
+    BUSY_CORES,
+    COUNTED,
+    explain_disturbance,
+    list_set_aside,
+    measure_repetition,
+)
+from tests.experiments.lab.machine import FILE_NAME, MachineSample, load_samples
 
 ROOT = Path(__file__).parents[2]
 PAGE, RUN, FIGURES = ROOT / "docs" / "evaluation.md", ROOT / "docs" / "experiment", ROOT / "docs" / "figures"
 DRAWN = ("latency.svg", "cpu.svg", "gantt.svg", "metric-1.svg")
-# The plan of the evaluation counts a run from so many repetitions on.
-COUNTED = 10
-# It sets a repetition aside in which others used more.
-BUSY_CORES = 0.1
+# Of the plan: utility all against this scheme.
+HYPOTHESES = {"H1, primary": "static", "H2": "local", "H3": "least-loaded"}
 _PART = re.compile(r"(<!-- from the run: (\w+) -->\n).*?(<!-- end -->\n)", re.DOTALL)
 _EXACT = re.compile(r"(<!-- exact -->\n```console\n)(.*?)(^```$)", re.MULTILINE | re.DOTALL)
 
 
-def write_parts(text: str, run: ExperimentRun) -> str:
-    """The page with the parts that state figures of the run."""
-    return _PART.sub(lambda part: part[1] + PARTS[part[2]](run) + part[3], text)
+def write_parts(text: str, directory: Path) -> str:
+    """The page with the parts that state figures of the run in this directory."""
+    run, status = load_run(directory), describe_status(directory)
+    return _PART.sub(
+        lambda part: part[1] + (status if part[2] == "status" else PARTS[part[2]](run)) + part[3], text
+    )
 
 
-def describe_status(run: ExperimentRun) -> str:
-    """How many trials there are, of when, and whether they count as evidence."""
+def describe_status(directory: Path) -> str:
+    """How many trials there are, of when, whether they count as evidence, and what has disturbed them."""
+    return write_status(load_run(directory), load_samples(directory / FILE_NAME), list_set_aside(directory))
+
+
+def write_status(run: ExperimentRun, samples: Sequence[MachineSample], aside: Sequence[str]) -> str:
+    """The same, of a run with these samples of the machine, after what was set ``aside``."""
     complete = min(sum(trial.scheme == each.name for trial in run.trials) for each in run.experiment.schemes)
     first = datetime.fromtimestamp(min(trial.began_at for trial in run.trials), UTC).date().isoformat()
     what = f"{len(run.trials)} trials of {first}, {complete} of each scheme"
-    load = describe_machine(run, load_samples(RUN / FILE_NAME))
-    if complete >= COUNTED:
-        return f"The run: {what}.\n{load}\n"
+    disturbed = list(find_disturbances(run, samples))
+    lines = [describe_machine(run, samples)]
+    for words, found in (("To be repeated", disturbed), ("Set aside and run again", aside)):
+        lines += [f"{words}: {'. '.join(found)}."] if found else []
+    load = "".join(f"{line}\n" for line in lines)
+    if complete >= COUNTED and not disturbed:
+        return f"The run: {what}.\n{load}"
+    asked = f"the [plan](evaluation/plan.md) asks for {COUNTED}"
     return (
-        f"**This run does not count.** It has {what};\nthe [plan](evaluation/plan.md) asks for {COUNTED}. "
-        f"What follows shows what is measured, and proves nothing.\n{load}\n"
+        f"**This run does not count.** It has {what};\n{asked}, none of them disturbed. "
+        f"What follows shows what is measured, and proves nothing.\n{load}"
     )
+
+
+def find_disturbances(run: ExperimentRun, samples: Sequence[MachineSample]) -> Iterator[str]:
+    """The repetitions that the plan sets aside, each with its reason."""
+    for repetition in sorted({trial.repetition for trial in run.trials}):
+        if why := explain_disturbance(run, samples, repetition):
+            yield f"repetition {repetition}: {why}"
 
 
 def describe_machine(run: ExperimentRun, samples: Sequence[MachineSample]) -> str:
     """How much processes outside of the experiment computed: the plan sets aside repetitions with more than a tenth of a core."""
-    found: dict[int, list[float]] = {}
-    for trial in run.trials:
-        others = compute_others(samples, trial.began_at, trial.began_at + trial.latency)
-        if others is not None:
-            found.setdefault(trial.repetition, []).append(others)
-    if not found:
+    repetitions = sorted({trial.repetition for trial in run.trials})
+    found = {
+        each: measure_repetition([trial for trial in run.trials if trial.repetition == each], samples)
+        for each in repetitions
+    }
+    means = {repetition: cores for repetition, cores in found.items() if cores is not None}
+    if not means:
         return "What else the machine did was not recorded."
-    means = {repetition: sum(cores) / len(cores) for repetition, cores in found.items()}
     busy = [str(repetition) for repetition, cores in sorted(means.items()) if cores > BUSY_CORES]
     above = (
         f"above {BUSY_CORES:g} in repetition {', '.join(busy)}" if busy else f"in none above {BUSY_CORES:g}"
@@ -146,26 +174,39 @@ def _find_median(values: Sequence[float]) -> str:
     return f"{sorted(values)[len(values) // 2]:.1f}" if values else "-"
 
 
+def render_hypotheses(run: ExperimentRun) -> str:
+    """What the run says of each hypothesis of the plan, in one sentence with its interval."""
+    compared = compare_schemes(summarize_trials(run), run.experiment.equivalence)
+    found = {
+        each.base: each for each in compared if (each.metric, each.scheme) == (MISSION_TIME, "utility all")
+    }
+    lines = [
+        f"| {name} | {describe_answer(found[base])} |\n" for name, base in HYPOTHESES.items() if base in found
+    ]
+    return "".join(("| | outcome |\n", "|---|---|\n", *lines))
+
+
 PARTS: Mapping[str, Callable[[ExperimentRun], str]] = {
-    "status": describe_status,
+    "hypotheses": render_hypotheses,
     "ages": render_ages,
     "periods": render_periods,
 }
 
 
-def take_over(source: Path) -> None:
-    """Replace the committed run by a complete one."""
+def take_over(source: Path, target: Path) -> None:
+    """Replace the run in ``target`` by a complete one."""
     run = load_run(source)
     planned = run.experiment.repetitions * len(run.experiment.schemes)
     if len(run.trials) != planned:
         sys.exit(f"{source} has {len(run.trials)} of {planned} trials: make experiment goes on with it")
-    shutil.rmtree(RUN, ignore_errors=True)
-    (RUN / "trials").mkdir(parents=True)
+    shutil.rmtree(target, ignore_errors=True)
     beside = [path for path in (source / FILE_NAME,) if path.exists()]
-    for path in (source / "run.json", *(source / "trials").glob("*.json"), *beside):
-        target = RUN / path.relative_to(source)
-        shutil.copyfile(path, target)
-        target.chmod(0o644)
+    aside = (path for path in (source / ASIDE).glob("*/*") if path.is_file())
+    for path in (source / "run.json", *(source / "trials").glob("*.json"), *beside, *aside):
+        copy = target / path.relative_to(source)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, copy)
+        copy.chmod(0o644)
 
 
 def run_edgectl(words: Sequence[str], state: Path) -> str:
@@ -176,12 +217,12 @@ def run_edgectl(words: Sequence[str], state: Path) -> str:
     ).stdout
 
 
-def draw_figures(directory: Path) -> None:
-    """Draw the figures of the page from the committed run."""
-    words = ["report", "docs/experiment", "--out", str(directory / "report.html")]
+def draw_figures(run: Path, figures: Path, directory: Path) -> None:
+    """Draw the ``figures`` of the page from this run; ``directory``: for what is not kept."""
+    words = ["report", str(run), "--out", str(directory / "report.html")]
     run_edgectl([*words, "--figures", str(directory / "figures")], directory / "state")
     for name in DRAWN:
-        shutil.copyfile(directory / "figures" / name, FIGURES / name)
+        shutil.copyfile(directory / "figures" / name, figures / name)
 
 
 def write_exact_blocks(text: str, state: Path) -> str:
@@ -195,17 +236,21 @@ def write_exact_blocks(text: str, state: Path) -> str:
     return _EXACT.sub(rewrite, text)
 
 
+def write_page(page: Path, run: Path, figures: Path) -> None:
+    """Draw the figures of the run, then write the parts and the outputs of the page."""
+    with tempfile.TemporaryDirectory(prefix="edgectl-evaluation-") as directory:
+        draw_figures(run, figures, Path(directory))
+        page.write_text(write_exact_blocks(write_parts(page.read_text(), run), Path(directory) / "state"))
+
+
 def main() -> None:
     """Take over the run, draw, and write the page."""
     parser = argparse.ArgumentParser(description="The tables and figures of docs/evaluation.md.")
     parser.add_argument("--run", type=Path, default=ROOT / "runs" / "patrol", help="a run to take over")
     args = parser.parse_args()
     if (args.run / "run.json").exists():
-        take_over(args.run)
-    with tempfile.TemporaryDirectory(prefix="edgectl-evaluation-") as directory:
-        draw_figures(Path(directory))
-        text = write_parts(PAGE.read_text(), load_run(RUN))
-        PAGE.write_text(write_exact_blocks(text, Path(directory) / "state"))
+        take_over(args.run, RUN)
+    write_page(PAGE, RUN.relative_to(ROOT), FIGURES)
 
 
 if __name__ == "__main__":

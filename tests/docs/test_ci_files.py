@@ -3,6 +3,7 @@
 
 import json
 import subprocess
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -86,6 +87,21 @@ def test_the_template_of_gitlab_reports_mistakes(fleet: Path, tmp_path: Path) ->
     )
     (first, *_) = json.loads(report.read_text())
     assert (first["location"]["path"], first["location"]["lines"]["begin"]) == ("tasks/demo.yaml", 2)
+
+
+def test_the_image_is_given_all_that_a_wheel_is_made_of_and_nothing_else() -> None:
+    """Neither the environments nor the history of a clone, but what the links of the package lead to."""
+    lines = [line.split() for line in (CI / "Containerfile").read_text().splitlines()]
+    copied = {
+        name
+        for words in lines
+        if words[:1] == ["COPY"] and "--from=build" not in words
+        for name in words[1:-1]
+    }
+    links = [path.resolve().relative_to(ROOT) for path in (ROOT / "edgectl").rglob("*") if path.is_symlink()]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    needed = {"pyproject.toml", "edgectl", project["readme"], *project["license-files"]}
+    assert copied == needed | {path.parts[0] for path in links}
 
 
 def test_the_image_is_described_as_a_builder_reads_it() -> None:

@@ -10,18 +10,21 @@ import resource
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from edgectl.model.check import Check
 from edgectl.model.inventory import Host
 from edgectl.model.result import ActionResult, Outcome
-from edgectl.model.standby import StateRule
+from edgectl.model.standby import Activation, SaveMoment, StandbyRule, StateRule
 from edgectl.model.task import Task
 from edgectl.usecases.apply import ApplyOptions, plan_and_apply
 from tests.builders import a_task, an_inventory
 from tests.e2e.bench import EAGER, GENTLE, QUICK, Bench, a_slice, open_bench
 from tests.faults.network import run_ip, run_tc
+from tests.handoffs.scene import Scene
+from tests.handoffs.subscriber import Subscriber
 from tests.sshd import Lab, running_lab
 
 MBIT = 50
@@ -59,12 +62,12 @@ def apply(bench: Bench, task: Task, host: str) -> ActionResult:
     return result
 
 
-def measure_move(bench: Bench, folder: Path, task: Task, host: str, size: int) -> None:
-    """Move a state of ``size`` random bytes to ``host`` and print what it took."""
+def measure_move(folder: Path, size: int, move: Callable[[], ActionResult]) -> None:
+    """Print what ``move`` took, with a state of ``size`` random bytes."""
     # By programs of their own: the state shall never have been in the memory of this one.
     subprocess.run(f"head -c {size} /dev/urandom > {folder}/source", shell=True, check=True)
     began = time.monotonic()
-    result = apply(bench, task, host)
+    result = move()
     took = time.monotonic() - began
     subprocess.run(["cmp", str(folder / "source"), str(folder / "loaded")], check=True)
     assert result.state is not None
@@ -88,17 +91,32 @@ def main(folder: Path) -> None:
     rule = StateRule(
         save=Check(command=f"exec cat {folder}/source"), load=Check(command=f"exec cat > {folder}/loaded")
     )
-    task = a_task("slam", command="exec sleep 600", up=0.1, stop=GENTLE, state=rule)
+    task = a_task("slam", cpu=0.5, command="exec sleep 600", up=0.1, stop=GENTLE, state=rule)
     with running_lab(folder / "lab", ["edge1", "edge2"]) as lab:
         os.environ.update(lab.environment)
         hosts = [_make_host(lab, name) for name in ("edge1", "edge2")]
         with open_bench(an_inventory(*hosts), folder / "manager", lab) as bench:
             apply(bench, task, "edge1")
-            measure_move(bench, folder, task, "edge2", SMALL)
+            measure_move(folder, SMALL, lambda: apply(bench, task, "edge2"))
             shape_links([lab[name].address for name in ("edge1", "edge2")])
-            measure_move(bench, folder, task, "edge1", MIDDLE)
+            measure_move(folder, MIDDLE, lambda: apply(bench, task, "edge1"))
             remove_shape()
-            measure_move(bench, folder, task, "edge2", LARGE)
+            measure_move(folder, LARGE, lambda: apply(bench, task, "edge2"))
+            scene = Scene(bench, ("edge1", "edge2"), make_warm_task(task, folder), Subscriber())
+            scene.apply("edge1")
+            shape_links([lab[name].address for name in ("edge1", "edge2")])
+            measure_move(folder, MIDDLE, lambda: scene.apply("edge2").actions[0])
+
+
+def make_warm_task(task: Task, folder: Path) -> Task:
+    """The task with a copy and its state saved before; a second active instance could not make its directory."""
+    activation = Activation(
+        activate=Check(command=f"exec mkdir {folder}/active"),
+        deactivate=Check(command=f"test ! -e {folder}/active || exec rmdir {folder}/active"),
+    )
+    assert task.state is not None
+    rule = replace(task.state, moment=SaveMoment.ACTIVE)
+    return replace(task, name="mapping", state=rule, standby=StandbyRule(activation=activation))
 
 
 def _make_host(lab: Lab, name: str) -> Host:
@@ -106,7 +124,9 @@ def _make_host(lab: Lab, name: str) -> Host:
 
 
 def run_moves(folder: Path) -> list[dict[str, float]]:
-    """Run the program in a network namespace; the figures of its moves: small, in shaped links, large."""
+    """Run the program in a network namespace; the figures of its moves: small, in shaped links, large, warm in
+    shaped links.
+    """
     done = subprocess.run(
         ["unshare", "--net", sys.executable, "-m", "tests.e2e.shaped_move", str(folder)],
         capture_output=True,

@@ -10,7 +10,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import psutil
 import pytest
+import yaml
 
 from edgectl.errors import FleetBusyError
 from edgectl.experiments.commands.person import ask_person
@@ -35,6 +37,7 @@ from edgectl.model.policy import Policy
 from edgectl.model.task import Task, TaskKind
 from tests.builders import a_robot, a_task, an_edge, an_inventory
 from tests.e2e.bench import Bench, a_local, a_mark, a_sleeper, list_sleepers, open_bench
+from tests.experiments.lab.patrol import PATROL
 from tests.pace import patience
 
 EDGES = [
@@ -147,6 +150,51 @@ def test_a_program_ends_at_its_deadline_with_all_that_it_started(bench: Bench, o
     said = run_event_command(bench.fleet, command, command.argv)
     assert said == f"{sys.executable} did not end within 2 s"
     wait_for(lambda: list_sleepers(mark) == [])
+
+
+@pytest.mark.parametrize("on", ["", "mint"])
+def test_what_a_program_leaves_goes_on(bench: Bench, on: str) -> None:
+    """Also in the process group of the program, in which a process is before it makes one of its own."""
+    mark = a_mark()
+    command = EventCommand(argv=("sh", "-c", f"sleep {mark} >/dev/null 2>&1 & :"), on=on)
+    assert run_event_command(bench.fleet, command, command.argv) == ""
+    wait_for(lambda: len(list_sleepers(mark)) == 1)
+    (left,) = list_sleepers(mark)
+    os.kill(left, signal.SIGTERM)
+    wait_for(lambda: list_sleepers(mark) == [])
+
+
+def read_stranger(*changes: tuple[str, str]) -> EventCommand:
+    """The load of the shipped experiment, on one of these hosts."""
+    spec = yaml.load((PATROL / "experiment.yaml").read_text(), Loader=yaml.BaseLoader)
+    script = spec["events"]["stranger"]["run"][-1]
+    for old, new in changes:
+        assert old in script
+        script = script.replace(old, new)
+    return EventCommand(argv=("sh", "-c", script), on="zinc")
+
+
+def test_the_stranger_of_the_patrol_computes(bench: Bench) -> None:
+    mark = f": {a_mark()}; "
+    command = read_stranger(("while", f"{mark}while"))
+    assert run_event_command(bench.fleet, command, command.argv) == ""
+    words = ["sh", "-c", f"{mark}while :; do :; done"]
+    try:
+        wait_for(lambda: len(find_processes(words)) == 2)
+        wait_for(lambda: all(sum(each.cpu_times()[:2]) >= 0.05 for each in find_processes(words)))
+        assert len(find_processes(words)) == 2
+    finally:
+        for each in find_processes(words):
+            each.kill()
+
+
+def find_processes(words: Sequence[str]) -> list[psutil.Process]:
+    return [each for each in psutil.process_iter(["cmdline"]) if each.info["cmdline"] == words]
+
+
+def test_a_stranger_that_does_not_run_is_an_error(bench: Bench) -> None:
+    command = read_stranger(("timeout 25", "edgectl-no-such-program"), ("sleep 0.5", "wait $p"))
+    assert run_event_command(bench.fleet, command, command.argv).startswith("sh exited with 1")
 
 
 @pytest.mark.parametrize("on", ["", "mint"])

@@ -18,9 +18,16 @@ def main() -> int:
     parser.add_argument(
         "--injection", type=int, metavar="SEED", help="repeat the one injection whose failure names this seed"
     )
-    parser.add_argument("--only", default="", metavar="TEXT", help="run faults whose name contains this text")
     parser.add_argument(
-        "--hosts", choices=["loopback", "namespace", "systemd"], help="run faults on this kind of host only"
+        "--only",
+        default="",
+        metavar="TEXT",
+        help="run faults whose name, or kind of host, contains this text",
+    )
+    parser.add_argument(
+        "--hosts",
+        choices=["loopback", "namespace", "systemd", "containers"],
+        help="run faults on this kind of host only",
     )
     parser.add_argument(
         "--times", type=int, default=0, help="injections per fault (default: set by each fault)"
@@ -53,9 +60,18 @@ def list_cases(options: argparse.Namespace) -> list[tuple[Fault, str, int]]:
         else [(each, kind) for each in fault_list.list_faults() for kind in each.kinds]
     )
     wanted = [
-        (each, kind) for each, kind in every if options.only in each.name and kind == (options.hosts or kind)
+        (each, kind)
+        for each, kind in every
+        if (options.only in each.name or options.only == kind) and kind == (options.hosts or kind)
     ]
-    return [(each, kind, options.times or (1 if options.quick else each.full)) for each, kind in wanted]
+    return [
+        (each, kind, options.times or (1 if options.quick else get_full(each, kind))) for each, kind in wanted
+    ]
+
+
+def get_full(each: Fault, kind: str) -> int:
+    """Number of injections; over containers a quarter of those over commands, whose manager is the same."""
+    return (each.full + 3) // 4 if kind == "containers" != each.kinds[0] else each.full
 
 
 def run_case(each: Fault, kind: str, times: int, options: argparse.Namespace) -> FaultRow:

@@ -2,6 +2,7 @@
 """All faults, in the order of the table."""
 
 from tests.faults import (
+    faults_engine,
     faults_etcd,
     faults_etcd_members,
     faults_failover,
@@ -36,6 +37,7 @@ MODULES = (
     faults_standby,
     faults_warm_move,
     faults_failover,
+    faults_engine,
     faults_random,
 )
 

@@ -13,7 +13,7 @@ from tests.faults import failpoint_runner
 from tests.faults.command_result import ExpectationError
 from tests.faults.faults_host import start_tasks
 from tests.faults.fleet import APPLY, FaultFleet
-from tests.faults.registry import fault
+from tests.faults.registry import CONTAINERS, fault
 
 ONE_BY_ONE = ("--max-parallel", "1")
 APPLY_ONE = (*APPLY, *ONE_BY_ONE)
@@ -108,7 +108,7 @@ def kill_start_first_move(fleet: FaultFleet) -> None:
     kill_at_every_failpoint(fleet, move_slam)
 
 
-@fault("manager killed at every point of a drain", kinds=("loopback",))
+@fault("manager killed at every point of a drain", kinds=("loopback", *CONTAINERS))
 def kill_drain(fleet: FaultFleet) -> None:
     """Even rounds drain slam's host; odd rounds uncordon it and bring slam back."""
     start_tasks(fleet)

@@ -16,7 +16,6 @@ from tests.faults.command_result import ExpectationError
 from tests.faults.faults_host import start_tasks
 from tests.faults.faults_link import prepare_changes
 from tests.faults.fleet import APPLY, FaultFleet
-from tests.faults.hosts import wait_for
 from tests.faults.registry import fault
 from tests.faults.synced_disk import restore_synced_files
 from tests.pace import patience
@@ -188,7 +187,8 @@ def skew_all_clocks(fleet: FaultFleet) -> None:
     skew_host(fleet, fleet.second, fleet.random.choice([-3650 * DAY, 3650 * DAY]))
     fleet.pin_task("slam", fleet.second)
     fleet.add_task("map", on=fleet.first)
-    fleet.tasks["map"]["command"] = f'date +%s > "$HOME/oracle/records/date"; {fleet.tasks["map"]["command"]}'
+    # On the host, also where the task runs in a container.
+    fleet.tasks["map"]["ready"] = {"command": 'date +%s > "$HOME/oracle/records/date"'}
     fleet.write_files()
     fleet.apply(**build_skewed_env(fleet, DAY)).expect_exit(0)
     fleet.check_verdict()
@@ -302,9 +302,9 @@ def damage_saved_files(fleet: FaultFleet) -> None:
 def block_state_dir(fleet: FaultFleet) -> None:
     """A file stands in place of the state directory: the command is refused before any host is contacted."""
     fleet.add_task("slam", on=fleet.first)
-    fleet.state.rmdir()
+    aside = fleet.state.rename(fleet.state.with_name("aside"))
     fleet.state.write_text("in the way")
     fleet.apply().expect_exit(1, 64)
     fleet.check_verdict({})
     fleet.state.unlink()
-    wait_for(lambda: not fleet.state.exists(), "the state's place")
+    aside.rename(fleet.state)

@@ -79,7 +79,7 @@ def send_hostile_fields(fleet: FaultFleet) -> None:
     inside = (
         workdir
         if fleet.hosts[fleet.first].kind == "loopback"
-        else Path("/home/edge/oracle/records") / workdir.name
+        else Path("/oracle/records" if fleet.engines else "/home/edge/oracle/records") / workdir.name
     )
     dump = 'python3 -c \'import json, os; json.dump([os.getcwd(), dict(os.environ)], open(os.path.expanduser("~/oracle/records/dump"), "w"))\'; '
     fleet.add_task("slam", on=fleet.first, env=env, workdir=str(inside))

@@ -85,13 +85,7 @@ def lose_an_orphan(fleet: FaultFleet) -> None:
 
 
 def _kill_supervisor(fleet: FaultFleet, task: str) -> None:
-    (main,) = [
-        each
-        for each in fleet.hosts[fleet.first].processes()
-        if fleet.mark in each.command and f"--task {task} " in each.command
-    ]
-    supervisor = scan.read_process(main.parent)
-    assert supervisor is not None
+    (supervisor,) = fleet.list_supervisors(fleet.first, f"--task {task} ")
     scan.kill_processes([supervisor])
     wait_for(lambda: not supervisor.alive, "the end of the supervisor")
 

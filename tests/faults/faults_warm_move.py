@@ -160,14 +160,7 @@ def kill_supervisor(fleet: FaultFleet) -> None:
 
 def kill_supervisor_on(fleet: FaultFleet, name: str) -> None:
     """Kill every process on the host that is edgectl's and no session of it; what the task is lives on."""
-    processes = {each.pid: each for each in fleet.hosts[name].processes()}
-    victims = [
-        each
-        for each in processes.values()
-        if any(fleet.mark in child.command and child.parent == each.pid for child in processes.values())
-        and fleet.mark not in each.command
-    ]
-    scan.kill_processes(victims)
+    scan.kill_processes(fleet.list_supervisors(name))
 
 
 @fault("standby: disk full on either host at a point of a warm move", kinds=OWN, full=3)

@@ -8,6 +8,7 @@ import json
 import os
 import pty
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -20,8 +21,10 @@ from typing import Any
 
 from tests import forkserver
 from tests.compiled_agent import give_key
+from tests.containers.docker_engine import IMAGE, SYSTEM
 from tests.faults import failpoint_runner, oracle, scan
 from tests.faults.command_result import WORST_S, CommandResult, ExpectationError
+from tests.faults.computer_engine import ComputerEngine
 from tests.faults.hosts import Host, start_loopback_hosts
 from tests.faults.messages import Subscriber, subscribe
 from tests.faults.namespace_host import NamespaceHost, start_namespace_hosts
@@ -32,6 +35,20 @@ from tests.pace import patience
 EDGECTL = Path(sys.executable).with_name("edgectl")
 APPLY = ("apply", "--yes")
 FLEET = "faults"
+
+
+def find_supervisor(main: scan.Process, table: Mapping[int, scan.Process]) -> scan.Process | None:
+    """Find the supervisor of a task by one of its processes: its parent; where it is in a container, the parent of the
+    runner, whose child is the engine's program that follows this very container.
+    """
+    with suppress(OSError):
+        inside = re.search(r"[0-9a-f]{64}", Path(f"/proc/{main.pid}/cgroup").read_text())
+        if inside is None:
+            return table.get(main.parent)
+        followers = [each for each in table.values() if inside[0] in each.command]
+        runners = [table[each.parent] for each in followers if each.parent in table]
+        return table.get(runners[0].parent) if runners else None
+    return None
 
 
 def format_yaml(document: object) -> str:
@@ -117,6 +134,23 @@ class FaultFleet:
     def third(self) -> str:
         return self.edges[2]
 
+    @property
+    def engines(self) -> dict[str, ComputerEngine]:
+        """The container engines, if tasks run in containers."""
+        found = {name: getattr(host, "engine", None) for name, host in self.hosts.items()}
+        return {name: engine for name, engine in found.items() if engine is not None}
+
+    def list_supervisors(self, name: str, word: str = "") -> list[scan.Process]:
+        """List the supervisors of the tasks on a host whose command lines have ``word``."""
+        table = {each.pid: each for each in self.hosts[name].processes()}
+        found = {}
+        for each in table.values():
+            if self.mark in each.command and word in each.command:
+                above = find_supervisor(each, table)
+                if above is not None and self.mark not in above.command:
+                    found[above.pid] = above
+        return list(found.values())
+
     # Expected tasks
 
     def add_task(self, name: str, *options: str, on: str | None = None, **fields: object) -> None:
@@ -127,6 +161,7 @@ class FaultFleet:
             "command": command,
             "demand": {"cpu": 0.1, "memory": "10Mi"},
             "stop": {"grace": "3s"},
+            **({"image": self.build_image()} if self.engines else {}),
             **fields,
         }
         if on:
@@ -134,6 +169,10 @@ class FaultFleet:
         self.tasks[name] = entry
         self.expected[name] = on
         self.write_files()
+
+    def build_image(self, **more: object) -> dict[str, object]:
+        """The image of a task, in which "$HOME/oracle" is that of the host."""
+        return {"name": IMAGE, "volumes": [*SYSTEM, "~/oracle:/oracle"], "pull": "never", **more}
 
     def pin_task(self, name: str, on: str | None) -> None:
         """Pin task ``name`` to host ``on`` (None: any host)."""
@@ -404,6 +443,7 @@ class FaultFleet:
         left += [
             f"temporary file {path}" for path in scan.list_files(self.state, *places) if path.suffix == ".tmp"
         ]
+        left += [line for engine in self.engines.values() for line in engine.find_left()]
         left += scan.list_held_locks(self.state, *places)
         left += [
             f"open to others: {path}"
@@ -433,6 +473,8 @@ def repair_fleet(fleet: FaultFleet) -> None:
             host.home_read_only(yes=False)
         host.boot()
         host.allow_logins(allowed=True)
+    for engine in fleet.engines.values():
+        engine.start()
 
 
 @contextmanager
@@ -453,7 +495,11 @@ def open_fleet(
         prefix: list[str] = []
         netns = None
         if kind != "loopback":
-            made = start_namespace_hosts(directory / "hosts", names, systemd=kind == "systemd", shared=shared)
+            # For every second seed, the engines end their containers as they come back.
+            live = random.Random(f"engine {seed}").random() < 0.5 if kind == "containers" else None
+            made = start_namespace_hosts(
+                directory / "hosts", names, systemd=kind == "systemd", live_restore=live, shared=shared
+            )
             site, hosts = stack.enter_context(made)
             prefix, netns = site.prefix, site.netns
         else:

@@ -198,8 +198,8 @@ def run_systemd() -> None:
     os.execve("/usr/bin/setpriv", command, environment)
 
 
-def populate_root(root: Path, name: str, groups: list[str]) -> None:
-    """Mount and create what a kernel and an init provide at boot."""
+def populate_root(root: Path, name: str, groups: list[str], *, docker: bool = False) -> None:
+    """Mount and create what a kernel and an init provide at boot. ``docker``: an engine makes control groups there."""
     mount("-t", "proc", "proc", root / "proc")
     mount("-t", "sysfs", "-o", "ro", "sysfs", root / "sys")
     mount("-t", "tmpfs", "-o", "mode=755,size=1m", "dev", root / "dev")
@@ -222,7 +222,7 @@ def populate_root(root: Path, name: str, groups: list[str]) -> None:
         if (root / "proc/sysrq-trigger").exists():
             mount("--bind", "/dev/null", root / "proc/sysrq-trigger")
     else:
-        mount("--rbind", "-o", "ro", "/sys/fs/cgroup", root / "sys/fs/cgroup")
+        mount("--rbind", *([] if docker else ["-o", "ro"]), "/sys/fs/cgroup", root / "sys/fs/cgroup")
     (root / "run" / "sshd").mkdir(mode=0o755)
     boot_id = root / "run" / "boot_id"
     boot_id.write_text(f"{uuid.uuid4()}\n")
@@ -248,7 +248,7 @@ def run_computer(root: Path, config: dict[str, Any]) -> None:
     console = os.open(f"{config['directory']}/console.log", os.O_WRONLY | os.O_APPEND | os.O_CREAT)
     os.dup2(console, 1)
     os.dup2(console, 2)
-    populate_root(root, config["name"], config["groups"])
+    populate_root(root, config["name"], config["groups"], docker=config["docker"])
     os.chroot(root)
     os.chdir("/")
     if config["groups"]:

@@ -20,6 +20,7 @@ from pathlib import Path
 
 from tests import sshd
 from tests.faults import cgroup, scan
+from tests.faults.computer_engine import SHARED, ComputerEngine, is_of_engine
 from tests.faults.hosts import (
     CABLE,
     DISK,
@@ -93,7 +94,8 @@ def find_sshd() -> str:
 class NamespaceHost:
     """A computer with network, pid, mount, uts and ipc namespaces, disk, sshd and boot id of its own.
 
-    ``shared``: directories of the machine that it has too, at these places of its disk.
+    ``shared``: directories of the machine that it has too, at these places of its disk. ``docker``: it has a Docker
+    Engine of its own, whose containers survive that (``live_restore``) or not.
     """
 
     name: str
@@ -104,6 +106,8 @@ class NamespaceHost:
     cores: float | None = None
     memory: float | None = None
     systemd: bool = False
+    docker: bool = False
+    live_restore: bool = True
     shared: Mapping[str, Path] = field(default_factory=dict)
     env: dict[str, str] = field(default_factory=dict)
     kind: str = "namespace"
@@ -116,7 +120,7 @@ class NamespaceHost:
         for place in ("ssh", "oracle"):
             (self.directory / place).mkdir(parents=True)
         install_programs(self.directory / "oracle")
-        self.kind = "systemd" if self.systemd else self.kind
+        self.kind = "containers" if self.docker else "systemd" if self.systemd else self.kind
         self.own_groups = (
             cgroup.create_everywhere(f"edgectl-faults-{os.getpid()}-{id(self)}-{self.name}")
             if self.systemd
@@ -126,6 +130,9 @@ class NamespaceHost:
             f"edgectl-faults-{os.getpid()}-{self.name}", self.cores, self.memory
         )
         self.can |= {LIMIT} if self.group.limited else frozenset()
+        self.engine = (
+            ComputerEngine(self.directory / "docker", self, self.live_restore) if self.docker else None
+        )
         self.key = sshd.make_key(self.directory / "ssh" / "host_key")
         self.allow_logins(allowed=True, settle=False)
         self._write_sshd_config()
@@ -138,6 +145,8 @@ class NamespaceHost:
         )
         assert self.emulator.stdout is not None
         self.root = str(json.loads(self.emulator.stdout.readline())["root"])
+        if self.engine:
+            self.engine.install()
         self.boot()
 
     def _config(self) -> dict[str, object]:
@@ -147,7 +156,11 @@ class NamespaceHost:
             "user": USER,
             "home_size": "24m",
             "hidden": [str(REPOSITORY)],
-            "shared": {place: str(source.resolve()) for place, source in self.shared.items()},
+            "shared": {
+                place: str(source.resolve())
+                for place, source in {**self.shared, **(SHARED if self.docker else {})}.items()
+            },
+            "docker": self.docker,
             "oracle": str(self.directory / "oracle"),
             "ssh": str(self.directory / "ssh"),
             "sshd": sshd.find_program("sshd"),
@@ -213,7 +226,7 @@ class NamespaceHost:
         return Path(f"/proc/{self.pid}/root/run/boot_id").read_text().strip()
 
     def boot(self) -> None:
-        """Power on, plug in the cable, and wait until sshd listens."""
+        """Power on, plug in the cable, and wait until sshd listens, and the engine answers."""
         if self.pid:
             return
         self.pid = self._order("on")
@@ -238,6 +251,8 @@ class NamespaceHost:
         for words in ("link set lo up", card, f"addr add {self.address}/24 dev eth0", "link set eth0 up"):
             run_ip(*words.split(), netns=self.pid)
         self._wait_for_sshd()
+        if self.engine:
+            self.engine.start()
 
     def _wait_for_sshd(self) -> None:
         try:
@@ -260,6 +275,9 @@ class NamespaceHost:
             run_ip("link", "del", self.cable, netns=self.site.process.pid)
             self._order("off")
             self.pid, self.read_only = 0, False
+            if self.engine:
+                self.engine.forget()
+                self.engine.power_was_cut = True
 
     def unplug_cable(self) -> None:
         """Unplug the cable: no carrier."""
@@ -274,15 +292,18 @@ class NamespaceHost:
         run_ip("link", "set", self.cable, "nomaster", netns=self.site.process.pid)
 
     def processes(self) -> list[Process]:
-        """List processes except PID 1, sshd's listener and sessions, and bystanders."""
+        """List processes except PID 1, sshd's listener and sessions, bystanders, and those of the engine; those in
+        containers are among them.
+        """
         if not self.pid:
             return []
-        inode = Path(f"/proc/{self.pid}/ns/pid").stat().st_ino
         ours = ("bystander.py", "sshd", *SYSTEMD_PROGRAMS) if self.systemd else ("bystander.py", "sshd")
         return [
             each
-            for each in scan.list_processes_in_namespace("pid", inode)
-            if each.pid != self.pid and not any(word in each.command for word in ours)
+            for each in (*self.list_all(), *(self.engine.list_inside() if self.engine else ()))
+            if each.pid != self.pid
+            and not is_of_engine(each)
+            and not any(word in each.command for word in ours)
         ]
 
     def enter(self, *command: str, user: bool = True) -> list[str]:
@@ -320,23 +341,27 @@ class NamespaceHost:
     def inner_pid(self, each: Process) -> int:
         """Return the process id on this computer; 0 if the process is gone."""
         with suppress(OSError):
+            # Those in a container have a third number there.
             return int(
-                re.findall(r"^NSpid:.*?(\d+)$", Path(f"/proc/{each.pid}/status").read_text(), re.MULTILINE)[0]
+                re.findall(
+                    r"^NSpid:\t\d+\t(\d+)", Path(f"/proc/{each.pid}/status").read_text(), re.MULTILINE
+                )[0]
             )
         return 0
 
     def _outside(self, inner: int) -> int:
-        for each in self._all():
+        for each in self.list_all():
             if self.inner_pid(each) == inner:
                 return each.pid
         raise AssertionError(f"no process {inner} on {self.name}")
 
-    def _all(self) -> list[Process]:
+    def list_all(self) -> list[Process]:
+        """List every process of the computer outside of containers."""
         return scan.list_processes_in_namespace("pid", Path(f"/proc/{self.pid}/ns/pid").stat().st_ino)
 
     def restart_sshd(self) -> None:
         """End the listener; PID 1 starts another with the present configuration. Open sessions continue."""
-        (listener,) = [each for each in self._all() if "[listener]" in each.command]
+        (listener,) = [each for each in self.list_all() if "[listener]" in each.command]
         os.kill(listener.pid, signal.SIGKILL)
         wait_for(lambda: not listener.alive, "sshd's end")
         self._wait_for_sshd()
@@ -396,6 +421,8 @@ class NamespaceHost:
         self.group.remove()
         for group in self.own_groups:
             cgroup.remove_tree(group)
+        if self.engine:
+            self.engine.remove_groups()
 
 
 @contextmanager
@@ -406,10 +433,12 @@ def start_namespace_hosts(
     cores: Mapping[str, float] | None = None,
     memory: Mapping[str, float] | None = None,
     systemd: bool = False,
+    live_restore: bool | None = None,
     shared: Mapping[str, Path] | None = None,
 ) -> Iterator[tuple[ManagerNetwork, dict[str, Host]]]:
     """Start computers in namespaces and the manager's network; needs root. ``systemd``: it is their PID 1.
-    ``shared``: directories of the machine that they have too.
+    ``live_restore``: they have Docker Engines, with or without it. ``shared``: directories of the machine that they have
+    too.
     """
     directory.mkdir(parents=True, exist_ok=True)
     key = sshd.make_key(directory / "user_key")
@@ -427,6 +456,8 @@ def start_namespace_hosts(
                 cores=(cores or {}).get(name),
                 memory=(memory or {}).get(name),
                 systemd=systemd,
+                docker=live_restore is not None,
+                live_restore=bool(live_restore),
                 shared=shared or {},
             )
             stack.callback(host.close)

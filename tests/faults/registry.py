@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tests.compiled_agent import give_key
+from tests.containers.docker_engine import find_missing_for_containers
 from tests.faults.command_result import ExpectationError
 from tests.faults.failpoint_runner import read_failpoints
 from tests.faults.fleet import FLEET, EdgectlVariant, FaultFleet, OracleError, open_fleet, repair_fleet
@@ -64,7 +65,20 @@ BOTH = ("loopback", "namespace")
 OWN = ("namespace",)
 # Also on computers whose PID 1 is systemd; not in the short form.
 ALL = (*BOTH, "systemd")
-MISSING = {"namespace": find_missing_for_namespaces, "systemd": find_missing_for_systemd}
+# Computers in namespaces, each with a Docker Engine: every task runs in a container.
+CONTAINERS = ("containers",)
+
+
+def find_missing_for_engines() -> str:
+    """Return why no computer can have an engine here; empty if they can."""
+    return find_missing_for_namespaces() or find_missing_for_containers()
+
+
+MISSING = {
+    "namespace": find_missing_for_namespaces,
+    "systemd": find_missing_for_systemd,
+    "containers": find_missing_for_engines,
+}
 
 
 def fault(
@@ -75,10 +89,11 @@ def fault(
     full: int = 1,
     missing: Callable[[], str] = str,
 ) -> Callable[[Inject], Inject]:
-    """Register a function as a fault."""
+    """Register a function as a fault. What computers in namespaces support is injected over containers, too."""
+    every = (*kinds, *CONTAINERS) if "namespace" in kinds else kinds
 
     def add(inject: Inject) -> Inject:
-        FAULTS.append(Fault(name=name, inject=inject, kinds=kinds, quick=quick, full=full, missing=missing))
+        FAULTS.append(Fault(name=name, inject=inject, kinds=every, quick=quick, full=full, missing=missing))
         return inject
 
     return add

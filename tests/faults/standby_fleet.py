@@ -15,7 +15,8 @@ from tests.faults.fleet import FaultFleet, repair_fleet
 from tests.faults.hosts import wait_for
 
 TASK = "slam"
-PIPES = "$HOME/standby-slam"
+# A directory that the task has in a container, too.
+PIPES = "$HOME/oracle/records/standby-slam"
 HOOKS = "hooks"
 GRACE_S = 2.0
 STATE = {
@@ -55,6 +56,9 @@ def start_standby_task(fleet: FaultFleet, **fields: Any) -> None:
             "ready": {"command": f"test -p {PIPES}/out", "timeout": "20s"},
         },
     }
+    if fleet.engines:
+        # Its pipes are for its own user only, who writes into them on the host.
+        fleet.tasks[TASK]["image"] = fleet.build_image(user="4711:4711")
     fleet.write_files()
     fleet.apply_and_check()
     wait_for(lambda: heard.count, "a message of the task")

@@ -114,6 +114,7 @@ devices = st.builds(
     gpu_share=optional_of(amounts),
     power_w=optional_of(amounts),
     boot_id=texts,
+    pid_namespace=texts,
     clock_skew_s=optional_of(signed),
     interfaces=dictionaries_of(interfaces),
 )

@@ -81,6 +81,7 @@ DEVICE = DeviceSample(
     gpu_share=0.5,
     power_w=12.5,
     boot_id="b",
+    pid_namespace="pid:[1]",
     clock_skew_s=-1.5,
     interfaces={"eth0": INTERFACE},
 )

@@ -120,25 +120,34 @@ def test_a_fence_of_a_host_with_another_address_marks_the_former_one() -> None:
     assert list_fence_marks("edge2", an_inventory(an_edge("edge2")), manager) == {"edge2"}
 
 
-def answer_from(machine: str, boot: str) -> HostSample:
-    return replace(a_sample(), machine=f"{machine}/1000/a", device=DeviceSample(boot_id=boot))
+def answer_from(machine: str, boot: str, processes: str = "") -> HostSample:
+    place = f"{machine}/1000/a" if machine else ""
+    return replace(a_sample(), machine=place, device=DeviceSample(boot_id=boot, pid_namespace=processes))
+
+
+WHOLE = an_inventory(an_edge("a"), an_edge("b"), an_edge("c"))
 
 
 @pytest.mark.parametrize(
-    ("inventory", "boots", "shared"),
+    ("inventory", "one", "other", "shared"),
     [
-        (an_inventory(an_edge("a"), an_edge("b")), ("m", "x", "m", "x"), ("a", "b")),
-        (an_inventory(an_edge("a"), a_slice(an_edge("b"))), ("m", "x", "m", "x"), None),
-        (an_inventory(an_edge("a"), an_edge("b", connection=Connection.LOCAL)), ("m", "x", "m", "x"), None),
-        # A copied image, containers of one machine, and machines without an id.
-        (an_inventory(an_edge("a"), an_edge("b")), ("m", "x", "m", "y"), None),
-        (an_inventory(an_edge("a"), an_edge("b")), ("m", "x", "n", "x"), None),
-        (an_inventory(an_edge("a"), an_edge("b")), ("", "x", "", "x"), None),
+        (WHOLE, ("m", "x"), ("m", "x"), ("a", "c")),
+        (an_inventory(an_edge("a"), an_edge("b"), a_slice(an_edge("c"))), ("m", "x"), ("m", "x"), None),
+        (an_inventory(an_edge("a"), an_edge("c", connection=Connection.LOCAL)), ("m", "x"), ("m", "x"), None),
+        # A copied image, and containers of one machine.
+        (WHOLE, ("m", "x"), ("m", "y"), None),
+        (WHOLE, ("m", "x", "p"), ("n", "x", "p"), None),
+        # Without a machine id: one machine, one of whose names does not tell, two containers, copied images, agents
+        # that do not tell.
+        (WHOLE, ("", "x", "p"), ("", "x", "p"), ("a", "c")),
+        (WHOLE, ("m", "x", "p"), ("", "x", "p"), ("a", "c")),
+        (WHOLE, ("", "x", "p"), ("", "x", "q"), None),
+        (WHOLE, ("", "x", "p"), ("", "y", "p"), None),
+        (WHOLE, ("", "x"), ("", "x"), None),
     ],
 )
 def test_one_machine_under_two_names_is_found(
-    inventory: Inventory, boots: tuple[str, str, str, str], shared: tuple[str, str] | None
+    inventory: Inventory, one: tuple[str, ...], other: tuple[str, ...], shared: tuple[str, str] | None
 ) -> None:
-    one, other = answer_from(*boots[:2]), answer_from(*boots[2:])
-    snapshot = Snapshot(taken_at=NOW, hosts={"a": one, "b": other})
-    assert find_shared_machine(inventory, snapshot) == shared
+    hosts = {"a": answer_from(*one), "b": answer_from("o", "x", "o"), "c": answer_from(*other)}
+    assert find_shared_machine(inventory, Snapshot(taken_at=NOW, hosts=hosts)) == shared

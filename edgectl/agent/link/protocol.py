@@ -215,6 +215,7 @@ PROBE_KEYS = (
     "host",
     "python",
     "boot_id",
+    "pid_namespace",
     "machine",
     "wall",
     "load_1m",

@@ -41,6 +41,7 @@ def probe_host(request: Document) -> Document:
             "host": request["host"],
             "python": "%d.%d.%d" % sys.version_info[:3],
             "boot_id": proc.read_boot_id(),
+            "pid_namespace": proc.read_pid_namespace(),
             "machine": _describe_place(),
             "wall": time.time(),
             "load_1m": device.read_load_1m(),

@@ -160,6 +160,14 @@ def read_machine_id() -> str:
     return read_file("/etc/machine-id").decode("ascii", "replace").strip()
 
 
+def read_pid_namespace() -> str:
+    """Read the id of the processes that this login sees; empty where the kernel does not tell."""
+    try:
+        return os.readlink("/proc/self/ns/pid")
+    except OSError:
+        return ""
+
+
 def read_uptime_s() -> float:
     """Read the seconds since boot on the clock of start ticks (lxcfs shifts /proc/uptime, so that file is not
     read).

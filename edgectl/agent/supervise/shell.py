@@ -46,7 +46,7 @@ def build_environment(extra: "Mapping[str, object] | None") -> "dict[str, str]":
 
 
 class ShellCommand:
-    """A check that runs beside other work; its whole process group ends with it."""
+    """A check that runs beside other work; its process group ends with it, unless it ``leaves`` some."""
 
     # Also questions to the ROS graph, which have the same interface.
     running: "set[Any]" = set()
@@ -59,12 +59,17 @@ class ShellCommand:
         timeout_s: float,
         cwd: "str | None" = None,
         setup: "Sequence[str]" = (),
+        leaves: bool = False,
     ) -> None:
-        """``command``: text for a shell, or an argument vector, which needs none."""
+        """``command``: text for a shell, or an argument vector, which needs none.
+
+        ``leaves``: what it has started goes on after it has ended by itself.
+        """
         # Imported on demand: 2 MB in every supervisor without a check.
         import subprocess
 
         self.deadline = time.monotonic() + timeout_s
+        self.leaves = leaves
         self.kept = b""
         self.pipe, end = os.pipe()
         os.set_blocking(self.pipe, False)
@@ -93,7 +98,7 @@ class ShellCommand:
         ended = os.waitid(os.P_PID, self.process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
         if not ended and time.monotonic() < self.deadline:
             return None
-        self.end()
+        self.end(spared=ended and self.leaves)
         text = self.kept.decode("utf-8", "replace")
         return {"exit": self.process.returncode if ended else None, "timed_out": not ended, "output": text}
 
@@ -107,13 +112,14 @@ class ShellCommand:
         except BlockingIOError:
             pass
 
-    def end(self) -> None:
-        """Kill what is left of its process group and reap it."""
+    def end(self, spared: bool = False) -> None:
+        """Kill what is left of its process group, unless ``spared``, and reap it."""
         ShellCommand.running.discard(self)
-        try:
-            os.killpg(self.process.pid, signal.SIGKILL)
-        except OSError:
-            pass
+        if not spared:
+            try:
+                os.killpg(self.process.pid, signal.SIGKILL)
+            except OSError:
+                pass
         self.process.wait()
         self._drain()
         os.close(self.pipe)
@@ -130,13 +136,16 @@ class ShellCommand:
 def run_program(request: Document) -> Document:
     """Operation ``run``: an argument vector, without a shell, for at most ``timeout_s``.
 
+    What it leaves running goes on; at the deadline everything in its process group is killed.
+
     Raises:
         RefusalError: there is no such program, or it cannot be run.
     """
     install_deadline_handlers()
     argv = [str(word) for word in request["argv"]]
     try:
-        program = ShellCommand(argv, "", {}, float(request["timeout_s"]), cwd=os.path.expanduser("~"))
+        home = os.path.expanduser("~")
+        program = ShellCommand(argv, "", {}, float(request["timeout_s"]), cwd=home, leaves=True)
     except OSError as error:
         raise RefusalError("no-program", "%s: %s" % (argv[0], error.strerror), "install it there") from None
     return program.result()

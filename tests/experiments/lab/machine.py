@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from edgectl.experiments.files.run_directory import RUN_FILE_NAME
+
 FILE_NAME = "machine.jsonl"
 EVERY_S = 5.0
 
@@ -24,20 +26,30 @@ class MachineSample:
 
     @property
     def others(self) -> float:
-        """Cores of processes outside of the experiment."""
+        """Cores that were not the experiment's: of processes outside of it, or of other machines on the same computer."""
         return max(0.0, self.busy - self.own)
 
 
 def read_busy_s() -> float:
-    """CPU seconds of the machine since it was switched on, without idle ones and those that wait for a disk."""
+    """CPU seconds of the machine since it was switched on: of processes, and those that its computer gave to other machines.
+
+    Interrupts are not counted: nearly all are packets of the experiment, and belong to no process.
+    """
     words = Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:9]
-    user, nice, system, _, _, irq, softirq, _ = map(int, words)
-    return (user + nice + system + irq + softirq) / os.sysconf("SC_CLK_TCK")
+    user, nice, system, _, _, _, _, steal = map(int, words)
+    return (user + nice + system + steal) / os.sysconf("SC_CLK_TCK")
+
+
+def measure_busy(seconds: float) -> float:
+    """Cores in use over the next ``seconds``."""
+    began, before = time.monotonic(), read_busy_s()
+    time.sleep(seconds)
+    return (read_busy_s() - before) / (time.monotonic() - began)
 
 
 @contextmanager
 def watch_machine(path: Path, read_own_s: Callable[[], float], every_s: float = EVERY_S) -> Iterator[None]:
-    """Append a sample to ``path`` every so often, as long as the context lasts; from when on its directory exists."""
+    """Append a sample to ``path`` every so often, as long as the context lasts; from when on there is a run beside it."""
     ended = threading.Event()
 
     def run() -> None:
@@ -49,7 +61,7 @@ def watch_machine(path: Path, read_own_s: Callable[[], float], every_s: float = 
                 round((now - before) / (at - then), 3)
                 for now, before in ((busy, busy_before), (own, own_before))
             ]
-            if path.parent.exists():
+            if (path.parent / RUN_FILE_NAME).exists():
                 with path.open("a") as file:
                     file.write(
                         json.dumps({"at": round(time.time(), 1), "busy": cores[0], "own": cores[1]}) + "\n"

@@ -38,6 +38,7 @@ def a_tiny_site(directory: Path) -> Path:
         ("at: 8s", "at: 2s"),
         ("at: 40s", "at: 2s"),
         ("timeout 25", "timeout 1"),
+        ("sleep 0.5", ":"),
     ):
         assert old in text
         text = text.replace(old, new)
