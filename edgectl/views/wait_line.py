@@ -50,6 +50,8 @@ class WaitLine:
     def __init__(self, hosts: Sequence[str]) -> None:
         self._waiting, self._count = dict.fromkeys(hosts), len(hosts)
         self._drawn = self._ended = False
+        # Of those who draw: the one that waits for it knows the latest.
+        self._drawing = threading.Lock()
 
     def __call__(self, name: str, _sample: HostSample, _seconds: float) -> None:
         """Note that ``name`` has ended."""
@@ -59,18 +61,20 @@ class WaitLine:
 
     def draw(self) -> None:
         """Draw the line, unless all is over or a password is being asked for."""
-        if not _TERMINAL.acquire(blocking=False):
-            return
-        try:
-            if not self._ended:
-                self._drawn = True
-                rest = format_name_list(list(self._waiting)[:3]) + (", .." if len(self._waiting) > 3 else "")
-                done = self._count - len(self._waiting)
-                self._write(
-                    f"{_ERASE}{done} of {self._count} hosts asked" + (f"; waiting for {rest}" if rest else "")
-                )
-        finally:
-            _TERMINAL.release()
+        with self._drawing:
+            if not _TERMINAL.acquire(blocking=False):
+                return
+            try:
+                if not self._ended:
+                    self._drawn = True
+                    self._write(self._format())
+            finally:
+                _TERMINAL.release()
+
+    def _format(self) -> str:
+        rest = format_name_list(list(self._waiting)[:3]) + (", .." if len(self._waiting) > 3 else "")
+        done = self._count - len(self._waiting)
+        return f"{_ERASE}{done} of {self._count} hosts asked" + (f"; waiting for {rest}" if rest else "")
 
     def end(self) -> None:
         """Erase it."""

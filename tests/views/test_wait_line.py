@@ -2,16 +2,18 @@
 """The line that names the hosts that are waited for, on a real terminal."""
 
 import contextlib
+import io
 import os
 import pty
 import select
 import sys
+import threading
 import time
 from collections.abc import Iterator
 
 import pytest
 
-from edgectl.views.wait_line import pause_wait, show_wait
+from edgectl.views.wait_line import WaitLine, pause_wait, show_wait
 from tests.builders import a_sample
 from tests.pace import patience
 
@@ -49,6 +51,30 @@ def test_after_a_second_the_line_names_who_is_waited_for(monkeypatch: pytest.Mon
             line("xu", a_sample(), 1.5)
             assert "2 of 5 hosts asked; waiting for yak, wolf, vole" in read_until(terminal, "vole")
         assert read_until(terminal, "\x1b[2K").endswith("\r\x1b[2K"), "nothing of it stays"
+
+
+def test_a_host_that_ends_while_the_line_is_drawn_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    class SlowTerminal(io.StringIO):
+        """Its first flush waits until the test goes on."""
+
+        begun, go_on = threading.Event(), threading.Event()
+
+        def flush(self) -> None:
+            self.begun.set()
+            assert self.go_on.wait(patience(30))
+
+    terminal, line = SlowTerminal(), WaitLine(HOSTS)
+    monkeypatch.setattr(sys, "stderr", terminal)
+    calls = [line.draw, lambda: line("zeta", a_sample(), 0.1)]
+    threads = [threading.Thread(target=call) for call in calls]
+    threads[0].start()
+    assert terminal.begun.wait(patience(30))
+    threads[1].start()
+    threads[1].join(0.2)
+    terminal.go_on.set()
+    for thread in threads:
+        thread.join()
+    assert terminal.getvalue().endswith("1 of 5 hosts asked; waiting for yak, xu, wolf, ..")
 
 
 def test_a_password_prompt_has_the_terminal_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
