@@ -16,6 +16,7 @@ from tests.faults.faults_host import start_tasks
 from tests.faults.faults_link import prepare_changes
 from tests.faults.faults_warm_move import strike_at_point
 from tests.faults.fleet import APPLY, FaultFleet
+from tests.faults.hosts import wait_for
 from tests.faults.registry import CONTAINERS, fault
 
 SAMPLED = 6
@@ -134,6 +135,20 @@ def kill_all_of_ours(fleet: FaultFleet) -> None:
         scan.kill_processes([each for each in found if fleet.mark not in each.command])
         fleet.engines[name].kill()
         fleet.engines[name].start()
+
+
+@fault("host without power while its task goes elsewhere", kinds=CONTAINERS, full=4)
+def leave_dead_container(fleet: FaultFleet) -> None:
+    """The dead container is removed once the host is asked for anything; nothing runs there for that."""
+    start_tasks(fleet)
+    fleet.hosts[fleet.first].power_off()
+    fleet.hosts[fleet.first].boot()
+    fleet.pin_task("slam", fleet.second)
+    if fleet.random.random() < 0.5:
+        fleet.apply_and_check()
+    fleet.run_edgectl("status").expect_exit(0, 4)
+    engine = fleet.engines[fleet.first]
+    wait_for(lambda: not engine.list_containers(), "the removal of the dead container", 60)
 
 
 @fault("containers killed, removed or restarted by somebody else", kinds=CONTAINERS, full=3)

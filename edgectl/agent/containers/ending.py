@@ -7,13 +7,15 @@ task's own directory in a label is ever removed.
 """
 
 import os
+import time
 
 from ..link.fast_json import Document
 from ..measure import proc
 from ..supervise import liveness, signals
 from . import create, engine, record
 
-_REMOVE_S = 30.0
+REMOVE_S = 30.0
+_TRIES, _TRY_S = 5, 0.2
 _KILL = signals.parse_signal("KILL")
 
 
@@ -60,10 +62,13 @@ def remove_containers(folder: str, program: str = "") -> str:
 
     The caller has seen that no process is left, or keeps the lock of the task.
     """
-    program = program or str(record.read_container(folder).get("program") or "")
+    found = record.read_container(folder)
+    program = program or str(found.get("program") or "")
     if not program:
         return ""
-    for _ in range(3):
+    for number in range(_TRIES):
+        # One that the engine is just removing is refused, and still listed.
+        time.sleep(_TRY_S if number else 0.0)
         ids, call = list_containers(program, folder)
         if call.kind == engine.LOST and call.refused:
             # Nothing listens: what is dead starts nothing, and what comes back restarts no container of ours.
@@ -71,8 +76,9 @@ def remove_containers(folder: str, program: str = "") -> str:
         if call.kind != engine.DONE:
             return call.why
         if not ids:
+            record.note_removal(folder, found)
             return ""
-        last = engine.call_engine([program, "rm", "--force", "--volumes", *ids], _REMOVE_S)
+        last = engine.call_engine([program, "rm", "--force", "--volumes", *ids], REMOVE_S)
     return last.why or "the container is still there"
 
 

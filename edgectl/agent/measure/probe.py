@@ -34,6 +34,8 @@ def probe_host(request: Document) -> Document:
     measured, checks = _read_profiler(request) or _measure_window(request)
     for task, values in metrics.read_tasks_metrics(request["host"], measured["tasks"]).items():
         measured["tasks"][task]["metrics"] = values
+    # After the measurement, in which it would count.
+    status.remove_dead_containers(request["host"])
     return dict(
         {
             "v": protocol.VERSION,
