@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -33,7 +34,7 @@ def die(host: ContainerHost, engine: DockerEngine, task: str = "slam") -> None:
     eventually(lambda: engine.call("inspect", "--format", "{{.State.Running}}", name) == "false")
 
 
-def read_log(host: ContainerHost, **fields: object) -> str:
+def read_log(host: ContainerHost, **fields: Any) -> str:
     return str(host.ask("logs", task="slam", tail=5, **fields)["text"])
 
 
