@@ -7,15 +7,10 @@ would remove them. Their output is in the logs of the task.
 """
 
 import os
-import time
 
-from ..link.fast_json import Document
-from ..supervise import liveness, lockfile, state_dir
-from ..supervise.launch import run_detached
-from . import create, ending, engine, record
-
-# The engine may hang, but no request waits for it, and a start only for so long.
-_AWAITED_S, _POLL_S = 20.0, 0.05
+from ..supervise import liveness, lockfile
+from ..supervise.spawn import run_detached
+from . import ending, engine, record
 
 
 def begin_removal(folders: "list[str]") -> None:
@@ -36,32 +31,6 @@ def begin_removal(folders: "list[str]") -> None:
 def _remove_all_dead(folders: "list[str]") -> None:
     for folder in folders:
         _remove_if_dead(folder)
-
-
-def remove_lost(program: str, identity: Document) -> bool:
-    """Remove the dead container of the task whose record is gone, as one in shared memory is after a loss of
-    power; whether there was one. That of another user or fleet never had a record in a base of this one.
-    """
-    marks = ["label=%s%s=%s" % (create.LABEL, name, identity[name]) for name in ("fleet", "host", "task")]
-    filters = [word for mark in marks for word in ("--filter", mark)]
-    form = '{{.ID}} {{.Label "%s"}}' % create.DIR_LABEL
-    call = engine.call_engine([program, "ps", "--all", "--no-trunc", *filters, "--format", form])
-    lines = [line.partition(" ") for line in call.out.splitlines()]
-    lost = [found for found, _, folder in lines if _is_own_place(folder) and not os.path.lexists(folder)]
-    if not lost:
-        return False
-    return engine.call_engine([program, "rm", "--volumes", *lost], ending.REMOVE_S).kind == engine.DONE
-
-
-def _is_own_place(folder: str) -> bool:
-    return any(folder.startswith(base + "/") for base in state_dir.list_own_bases())
-
-
-def await_removal(folder: str) -> None:
-    """Wait until nobody removes containers of the task: its new one would have the name of the old one."""
-    deadline = time.monotonic() + _AWAITED_S
-    while lockfile.is_lock_held(folder, lockfile.GUARD) and time.monotonic() < deadline:
-        time.sleep(_POLL_S)
 
 
 def _remove_if_dead(folder: str) -> None:

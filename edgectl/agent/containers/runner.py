@@ -14,7 +14,7 @@ from ..link import fast_json
 from ..link.fast_json import Document
 from ..measure import proc
 from ..supervise import shell
-from . import create, ending, engine, record, removal
+from . import create, ending, engine, record
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ class ContainerRunner:
         """
         self._program = engine.choose_program(self._spec["image"].get("engine"))
         if not patient:
-            removal.await_removal(self._folder)
+            ending.await_removal(self._folder)
         while not self._try_start(patient=patient):
             self._note_loss(alive=False)
             self._pause()
@@ -159,7 +159,7 @@ class ContainerRunner:
             self._program, self._spec, self._identity, self._folder, self._variables
         )
         call = self._check(engine.call_engine(argv, CREATE_S, self._env))
-        if _NAME_IS_USED in call.why and removal.remove_lost(self._program, self._identity):
+        if _NAME_IS_USED in call.why and ending.remove_lost(self._program, self._identity):
             call = self._check(engine.call_engine(argv, CREATE_S, self._env))
         if call.kind != engine.DONE:
             raise StartError(*self._explain_refusal(call.why))
