@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Faults of container engines: killed, restarted, frozen, their shims killed, containers of others and by others."""
 
+import subprocess
+
 from tests.containers.docker_engine import IMAGE
 from tests.faults import scan
 from tests.faults.command_result import ExpectationError

@@ -6,6 +6,7 @@ New tasks, which run nowhere, come in every round, and every manager wants them 
 
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
@@ -66,11 +67,15 @@ def open_site(fleet: FaultFleet) -> Site:
 
 
 def play_rounds(
-    fleet: FaultFleet, disturb: Disturb, *, most_s: float = 4.0, env: Mapping[str, str] | None = None
+    fleet: FaultFleet,
+    disturb: Disturb,
+    *,
+    most_s: float = 4.0,
+    build_env: Callable[[], Mapping[str, str]] = dict,
 ) -> None:
     """In each round all managers apply at once, and something is broken meanwhile; then one applies alone.
 
-    ``most_s``: for so long it is broken at most. ``env``: of the first manager that applies.
+    ``most_s``: for so long it is broken at most. ``build_env``: of the first manager that applies.
     """
     site = open_site(fleet)
     for _ in range(1 if fleet.sample else ROUNDS):
@@ -79,7 +84,7 @@ def play_rounds(
         for manager in site.managers:
             manager.want_at_random()
         first, *others = fleet.random.sample(site.managers, 3)
-        running = [first.start(*PATIENT, **(env or {})), *(each.start(*PATIENT) for each in others)]
+        running = [first.start(*PATIENT, **build_env()), *(each.start(*PATIENT) for each in others)]
         fleet.wait(fleet.random.uniform(0.3, 2.5))
         fleet.injected += 1
         with disturb(site, running):
@@ -206,4 +211,21 @@ def freeze_managers(fleet: FaultFleet) -> None:
     missing=find_missing_compiler,
 )
 def skew_a_manager(fleet: FaultFleet) -> None:
-    play_rounds(fleet, lambda _site, _running: nullcontext(), env=build_skewed_env(fleet, DAY))
+    play_rounds(fleet, lambda _site, _running: nullcontext(), build_env=lambda: build_skewed_env(fleet, DAY))
+
+
+@fault(
+    "three managers, three etcd members: a manager's clock jumps while it applies",
+    kinds=("loopback",),
+    full=4,
+    missing=find_missing_compiler,
+)
+def set_a_manager_clock(fleet: FaultFleet) -> None:
+    """A day ahead or back, or years; the leases count another clock."""
+
+    def build_env() -> dict[str, str]:
+        moment = time.monotonic() + fleet.random.uniform(1.0, 5.0)
+        seconds = fleet.random.choice([DAY, -DAY, 3650 * DAY])
+        return build_skewed_env(fleet, seconds) | {"CLOCK_SKEW_FROM": f"{moment:.0f}"}
+
+    play_rounds(fleet, lambda _site, _running: nullcontext(), build_env=build_env)

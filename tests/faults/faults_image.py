@@ -3,10 +3,10 @@
 
 import signal
 from subprocess import Popen
+from typing import Any
 
 from tests.containers.registry import ImageRegistry, open_registry
 from tests.faults.command_result import ExpectationError
-from tests.faults.faults_host import start_tasks
 from tests.faults.fleet import APPLY, FaultFleet
 from tests.faults.hosts import wait_for
 from tests.faults.manager import signal_manager
@@ -17,16 +17,15 @@ def start_pulled_task(fleet: FaultFleet) -> ImageRegistry:
     """The image of slam comes from a registry, and is on the first host alone."""
     address = f"{fleet.get_computer(fleet.first).site.network}.1"
     registry = fleet.stack.enter_context(open_registry(address, fleet.netns))
-    start_tasks(fleet)
-    fleet.pin_task("slam", fleet.first)
-    change_image(fleet, registry, 1)
+    for task, host in zip(("slam", "nav", "grip"), fleet.edges, strict=False):
+        more: dict[str, Any] = {"image": build_pulled_image(fleet, registry, 1)} if task == "slam" else {}
+        fleet.add_task(task, on=host, **more)
     fleet.apply_and_check()
     return registry
 
 
-def change_image(fleet: FaultFleet, registry: ImageRegistry, number: int) -> None:
-    fleet.tasks["slam"]["image"] = fleet.build_image(name=f"{registry.address}/slam:{number}", pull="missing")
-    fleet.write_files()
+def build_pulled_image(fleet: FaultFleet, registry: ImageRegistry, number: int) -> dict[str, object]:
+    return fleet.build_image(name=f"{registry.address}/slam:{number}", pull="missing")
 
 
 def begin_held_move(fleet: FaultFleet, registry: ImageRegistry) -> "Popen[str]":
@@ -60,7 +59,8 @@ def pull_before_stop(fleet: FaultFleet) -> None:
     if fleet.random.random() < 0.5:
         fleet.pin_task("slam", fleet.third)
     else:
-        change_image(fleet, registry, 2)
+        fleet.tasks["slam"]["image"] = build_pulled_image(fleet, registry, 2)
+        fleet.write_files()
     fleet.apply().expect_exit(4).expect_output("cannot be pulled", "slam")
     check_untouched(fleet, fleet.second, launches + 1)
     registry.empty = False
