@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Containers whose tasks are dead: removed beside the next request to the host, and no others."""
+"""Containers whose tasks are dead: removed once a manager is granted the fleet, and no others."""
 
 import contextlib
 import fcntl
@@ -17,6 +17,7 @@ from edgectl.agent.measure import proc
 from edgectl.agent.supervise import lockfile
 from edgectl.errors import RefusedError
 from tests.agent.conftest import eventually
+from tests.agent.test_lease import a_claim, signature
 from tests.containers.conftest import ContainerHost
 from tests.containers.docker_engine import IMAGE, DockerEngine, find_missing_for_containers
 
@@ -40,16 +41,26 @@ def read_log(host: ContainerHost, **fields: Any) -> str:
     return str(host.ask("logs", task="slam", tail=5, **fields)["text"])
 
 
-@pytest.mark.parametrize("op", ["status", "probe"])
-def test_a_dead_container_is_removed_beside_a_request(
-    host: ContainerHost, engine: DockerEngine, op: str
+def probe_as_manager(host: ContainerHost) -> dict[str, Any]:
+    """What an apply does first, and its end."""
+    reply = host.ask("probe", window_s=0.05, lease=a_claim())
+    assert reply["lease"]["state"] == "granted"
+    signed = signature(reply["lease"]["epoch"])
+    host.ask("lease", action="release", lease=signed, end_watch=False)
+    return reply
+
+
+def test_a_dead_container_is_removed_for_a_manager_and_not_for_a_reader(
+    host: ContainerHost, engine: DockerEngine
 ) -> None:
     host.start("slam", "echo said; exec sleep 600")
     eventually(lambda: read_log(host) == "said\n")
     die(host, engine)
+    assert host.ask("status", task=None)["tasks"]["slam"]["state"] == "failed"
+    assert host.ask("probe", window_s=0.05)["tasks"]["slam"]["state"] == "failed"
+    assert not lockfile.is_lock_held(str(host.folder("slam")), lockfile.GUARD)
     assert engine.list_containers() == [SLAM]
-    fields = {"task": None} if op == "status" else {"window_s": 0.05}
-    assert host.ask(op, **fields)["tasks"]["slam"]["state"] == "failed"
+    assert probe_as_manager(host)["tasks"]["slam"]["state"] == "failed"
     eventually(lambda: not engine.list_containers())
     eventually(lambda: not may_be_left(str(host.folder("slam"))))
     assert read_log(host) == "said\n"
@@ -67,7 +78,7 @@ def test_a_start_beside_the_removal_is_a_start(host: ContainerHost, engine: Dock
         assert (started["state"], started["instance"]) == ("started", f"i{generation}")
         if generation < 3:
             die(host, engine)
-            host.entry("slam")
+            probe_as_manager(host)
     assert engine.list_containers() == [SLAM]
     assert host.stop("slam")["state"] == "stopped"
 
@@ -128,7 +139,7 @@ def test_what_runs_or_is_not_of_the_task_is_kept(
     for task in ("slam", "zed"):
         die(host, engine, task)
     engine.call("start", SLAM)  # by a person
-    host.ask("status", task=None)
+    probe_as_manager(host)
     # It comes after the other ones.
     eventually(lambda: not may_be_left(str(host.folder("zed"))))
     kept = ["edgectl-lab-edge1-nav", SLAM, "edgectl-other-edge1-slam", "foreign"]

@@ -433,7 +433,7 @@ class FaultFleet:
     def find_leftovers(self) -> OracleVerdict:
         """Find leftovers after a full stop: processes, containers, held locks, files that others may read.
 
-        A host removes dead containers beside its requests, which takes it a moment.
+        A host removes dead containers beside a command, which takes it a moment.
         """
         deadline = time.monotonic() + (patience(REMOVAL_S) if self.engines else 0.0)
         while (left := self._list_leftovers()) and time.monotonic() < deadline:

@@ -16,7 +16,7 @@ from . import ending, engine, record
 def begin_removal(folders: "list[str]") -> None:
     """Remove, in a process of its own, what engines still have of those tasks in ``folders`` that are dead.
 
-    What cannot be removed now is tried again at the next request.
+    What cannot be removed now is tried again at the next probe of a manager that has the fleet.
     """
     dead = [each for each in folders if not lockfile.is_lock_held(each, lockfile.GUARD)]
     if not dead:

@@ -8,7 +8,7 @@ from ..link import protocol
 from ..link.errors import RefusalError
 from ..link.fast_json import Document
 from ..measure import proc
-from . import liveness, lockfile, records, state_dir
+from . import liveness, records, state_dir
 from .liveness import InstanceRecord
 
 _POLL_S = 0.1
@@ -54,31 +54,13 @@ def list_entries(
 
 def report_status(request: Document) -> Document:
     """Operation ``status``: one task, or all where ``task`` is null."""
-    found = list_entries(request["host"], request.get("task"))
-    remove_dead_containers(request["host"])
     return {
         "v": protocol.VERSION,
         "op": protocol.OP_STATUS,
         "host": request["host"],
         "boot_id": proc.read_boot_id(),
-        "tasks": found,
+        "tasks": list_entries(request["host"], request.get("task")),
     }
-
-
-def remove_dead_containers(host: str) -> None:
-    """Begin to remove what engines may still have of tasks of this host that have ended, as after a loss of
-    power.
-    """
-    folders = state_dir.find_task_dirs_with(host, "container")
-    if not folders:
-        return
-    from ..containers.record import may_be_left
-
-    ended = [each for each in folders if may_be_left(each) and not lockfile.is_lock_held(each)]
-    if ended:
-        from ..containers.removal import begin_removal
-
-        begin_removal(ended)
 
 
 def wait_for_task(request: Document) -> Document:
