@@ -3,7 +3,8 @@
 
 The standard one compiles six methods per class, half a millisecond of CPU, which was half of the time of
 importing edgectl. Those made here are closures over the fields; they behave alike and take as long (ADR 99).
-Only the initializer of a class of which a process makes many objects is compiled after all (ADR 134).
+Each is made when it is first called: half of the classes of a command never get an object (ADR 164). Only the
+initializer of a class of which a process makes many objects is compiled after all (ADR 134).
 """
 
 import dataclasses
@@ -36,23 +37,41 @@ def _make_class(
 ) -> type[T]:
     cls.__doc__ = cls.__doc__ or cls.__name__  # the standard one would write a signature
     made = dataclasses.dataclass(init=False, repr=False, eq=False, slots=slots, kw_only=kw_only)(cls)
-    methods: dict[str, Method | None] = {
-        "__init__": _choose_init(made)(made, frozen=frozen),
-        "__repr__": _make_repr(made),
-    }
+    methods = _defer_methods(made, frozen=frozen)
     if eq:
-        methods |= _make_comparison(made, frozen=frozen)
+        methods |= _defer_comparison(made, frozen=frozen)
     if frozen:
-        methods |= {
-            "__setattr__": _refuse_assignment,
-            "__delattr__": _refuse_deletion,
-            "__getstate__": _get_state,
-            "__setstate__": _set_state,
-        }
+        methods |= _FROZEN_METHODS
     for name, method in methods.items():
         if name not in made.__dict__:
             setattr(made, name, method)
     return made
+
+
+def _defer_methods(cls: type[Any], *, frozen: bool) -> dict[str, Method | None]:
+    """Initializer and representation, each of which is made and replaced by its first call."""
+
+    def __init__(self: Any, /, *given: Any, **values: Any) -> None:  # noqa: ANN401, N807
+        make = cls.__init__ = _choose_init(cls)(cls, frozen=frozen)
+        make(self, *given, **values)
+
+    def __repr__(self: Any) -> str:  # noqa: ANN401, N807
+        show = cls.__repr__ = _make_repr(cls)
+        return str(show(self))
+
+    return {"__init__": __init__, "__repr__": __repr__}
+
+
+def _defer_comparison(cls: type[Any], *, frozen: bool) -> dict[str, Method | None]:
+    def __eq__(self: object, other: object) -> Any:  # noqa: ANN401, N807
+        compare = cls.__eq__ = _make_equality(cls)
+        return compare(self, other)
+
+    def __hash__(self: object) -> int:  # noqa: N807
+        digest = cls.__hash__ = _make_hash(cls)
+        return int(digest(self))
+
+    return {"__eq__": __eq__, "__hash__": __hash__ if frozen else None}
 
 
 def _choose_init(cls: type[Any]) -> Method:
@@ -148,18 +167,28 @@ def _make_repr(cls: type[Any]) -> Method:
     return __repr__
 
 
-def _make_comparison(cls: type[Any], *, frozen: bool) -> dict[str, Method | None]:
+def _make_getter(cls: type[Any]) -> Method:
     names = [each.name for each in fields(cls) if each.compare]
     # Of one name attrgetter makes no tuple, and tuples compare the same object as equal, whatever it is.
-    get_values: Method = attrgetter(*names, *names[-1:]) if names else lambda _: ()
+    return attrgetter(*names, *names[-1:]) if names else lambda _: ()
+
+
+def _make_equality(cls: type[Any]) -> Method:
+    get_values = _make_getter(cls)
 
     def __eq__(self: object, other: object) -> Any:  # noqa: ANN401, N807
         return get_values(self) == get_values(other) if type(other) is type(self) else NotImplemented
 
+    return __eq__
+
+
+def _make_hash(cls: type[Any]) -> Method:
+    get_values = _make_getter(cls)
+
     def __hash__(self: object) -> int:  # noqa: N807
         return hash(get_values(self))
 
-    return {"__eq__": __eq__, "__hash__": __hash__ if frozen else None}
+    return __hash__
 
 
 def _refuse_assignment(_self: object, name: str, _value: object) -> NoReturn:
@@ -177,3 +206,11 @@ def _get_state(self: Any) -> list[Any]:  # noqa: ANN401
 def _set_state(self: Any, state: list[Any]) -> None:  # noqa: ANN401
     for each, value in zip(fields(self), state, strict=True):
         object.__setattr__(self, each.name, value)
+
+
+_FROZEN_METHODS: dict[str, Method | None] = {
+    "__setattr__": _refuse_assignment,
+    "__delattr__": _refuse_deletion,
+    "__getstate__": _get_state,
+    "__setstate__": _set_state,
+}
