@@ -9,7 +9,7 @@ import itertools
 import os
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 _INTERRUPTED = 130  # ExitCode.INTERRUPTED
 # Objects that Python's collector of garbage tracks; an apply has 90,000 at its first connection.
@@ -38,6 +38,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     if code == _INTERRUPTED:
         sys.stderr.write("interrupted\n")
     return code
+
+
+def run() -> NoReturn:
+    """Be the program ``edgectl``: ``main``, and an end that looks for no garbage in what ends anyway."""
+    code = main()
+    gc.freeze()
+    sys.exit(code)
 
 
 def _postpone_garbage_collection() -> None:

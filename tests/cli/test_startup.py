@@ -101,3 +101,15 @@ def test_no_garbage_is_collected_during_a_start_and_it_is_afterwards(site: Path)
     command = [sys.executable, "-c", COLLECTIONS]
     done = subprocess.run(command, cwd=site, capture_output=True, text=True, check=True)
     assert done.stderr.split()[-6:] == ["0", "1", "True", "True", "0", "False"]
+
+
+def test_no_garbage_is_looked_for_at_the_end() -> None:
+    source = (
+        "import atexit, gc, sys\n"
+        "from edgectl.cli.main import run\n"
+        "atexit.register(lambda: print(gc.get_freeze_count() > 10_000))\n"
+        "sys.argv = ['edgectl', 'plan', '--no-such-option']\n"
+        "run()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (64, "True\n")
