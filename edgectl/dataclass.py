@@ -52,26 +52,27 @@ def _defer_methods(cls: type[Any], *, frozen: bool) -> dict[str, Method | None]:
     """Initializer and representation, each of which is made and replaced by its first call."""
 
     def __init__(self: Any, /, *given: Any, **values: Any) -> None:  # noqa: ANN401, N807
-        make = cls.__init__ = _choose_init(cls)(cls, frozen=frozen)
-        make(self, *given, **values)
+        _replace(cls, "__init__", _choose_init(cls)(cls, frozen=frozen))(self, *given, **values)
 
     def __repr__(self: Any) -> str:  # noqa: ANN401, N807
-        show = cls.__repr__ = _make_repr(cls)
-        return str(show(self))
+        return str(_replace(cls, "__repr__", _make_repr(cls))(self))
 
     return {"__init__": __init__, "__repr__": __repr__}
 
 
 def _defer_comparison(cls: type[Any], *, frozen: bool) -> dict[str, Method | None]:
     def __eq__(self: object, other: object) -> Any:  # noqa: ANN401, N807
-        compare = cls.__eq__ = _make_equality(cls)
-        return compare(self, other)
+        return _replace(cls, "__eq__", _make_equality(cls))(self, other)
 
     def __hash__(self: object) -> int:  # noqa: N807
-        digest = cls.__hash__ = _make_hash(cls)
-        return int(digest(self))
+        return int(_replace(cls, "__hash__", _make_hash(cls))(self))
 
     return {"__eq__": __eq__, "__hash__": __hash__ if frozen else None}
+
+
+def _replace(cls: type[Any], name: str, method: Method) -> Method:
+    setattr(cls, name, method)
+    return method
 
 
 def _choose_init(cls: type[Any]) -> Method:
