@@ -12,8 +12,8 @@ from types import ModuleType
 
 # By package. paramiko imports invoke for ``Match exec`` of ssh_config, which edgectl leaves to ssh, and a
 # parser of e-mail for its version. invoke imports Mock (with asyncio and ssl) for its MockContext, and a YAML
-# parser for files of its own. typer imports what finds similar words, what names the system, and UUIDs, a type of
-# options that edgectl has none of.
+# parser for files of its own. typer imports what finds similar words, what names the system, and UUIDs, for
+# options of a type that edgectl has none of.
 DEFERRED_MODULES = {
     "typer.main": ("difflib", "platform", "uuid"),
     "paramiko": ("invoke", "importlib.metadata"),
