@@ -9,7 +9,7 @@ from dataclasses import field
 from edgectl.dataclass import dataclass
 from edgectl.errors import StateError, UsageError
 from edgectl.executor.manager_state_update import compute_next_generations, update_manager_state
-from edgectl.executor.step_run import RunIdentity, RunOptions
+from edgectl.executor.run_options import RunIdentity, RunOptions
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.gateway.task_lookup import find_doubled_instances
 from edgectl.model.manager_state import ManagerState
