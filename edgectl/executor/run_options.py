@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a run is told: how to carry out a plan, and under which record."""
+"""Options and record of a run of a plan."""
 
 import threading
 from collections.abc import Mapping

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the time of a probe goes: ``python -m tests.benchmarks.timeline [N ..]``.
+"""Time of a probe by milestone: ``python -m tests.benchmarks.timeline [N ..]``.
 
 ``edgectl probe`` of N real SSH servers of this machine, whole process, with new connections and with the agent on the
 hosts already: wall time and CPU of the manager at each milestone, medians of several runs.
