@@ -191,7 +191,7 @@ def describe_positional(kind: type[Any], given: tuple[Any, ...], named: dict[str
     except TypeError as error:
         return type(error)
     other = kind(*given, **named)
-    hashed = kind.__hash__ is not None and kind.__hash__ is not object.__hash__
+    hashed = kind.__hash__ not in (None, object.__hash__)
     return dataclasses.astuple(made), repr(made).partition("(")[2], made == other, hashed, kind.__match_args__
 
 

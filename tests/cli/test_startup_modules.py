@@ -122,14 +122,14 @@ def start(folder: Path, env: dict[str, str], *words: str) -> Start:
 @pytest.mark.parametrize(
     ("words", "most_modules", "most_compiled", "foreign"),
     [
-        (("--help",), 152, 30, SSH | PLANNING),
-        (("validate",), 298, 36, SSH | PLANNING),
-        (("plan", "--snapshot", "snap.json"), 444, 72, SSH),
-        (("probe", "--window", "0"), 510, 50, PLANNING | {"edgectl.views.results"}),
-        (("plan",), 585, 88, set()),
-        (("apply", "-y"), 617, 95, set()),
-        (("status",), 581, 82, set()),
-        (("logs", "beat"), 454, 44, PLANNING),
+        (("--help",), 154, 30, SSH | PLANNING),
+        (("validate",), 293, 36, SSH | PLANNING),
+        (("plan", "--snapshot", "snap.json"), 432, 71, SSH),
+        (("probe", "--window", "0"), 503, 50, PLANNING | {"edgectl.views.results", "edgectl.views.reasons"}),
+        (("plan",), 570, 80, set()),
+        (("apply", "-y"), 611, 86, set()),
+        (("status",), 568, 79, set()),
+        (("logs", "beat"), 452, 44, PLANNING),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )
@@ -162,7 +162,7 @@ def test_a_command_imports_and_compiles_no_more_than(
 def test_a_command_asks_each_host_once(
     fleet: tuple[Path, dict[str, str]], words: tuple[str, ...], wanted: list[str]
 ) -> None:
-    """Over one connection, with one process: ssh, which says what its configuration makes of the host."""
+    """Over one connection, and with one process per name: ssh says what its configuration makes of host and robot."""
     seen = start(*fleet, *words)
     assert seen.requests == wanted
-    assert (seen.connections, seen.processes) == ((1, 1) if wanted else (0, 0))
+    assert (seen.connections, seen.processes) == ((1, 2) if wanted else (0, 0))
