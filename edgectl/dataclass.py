@@ -1,20 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``dataclass`` of the standard library, which compiles nothing for a frozen, slotted, keyword-only class.
+"""``dataclass`` of the standard library, which compiles nothing for a class with slots.
 
 The standard one compiles six methods per class, half a millisecond of CPU, which was half of the time of
 importing edgectl. Those made here are closures over the fields; they behave alike and take as long (ADR 99).
-Only the initializer of a class of which a process makes many objects is compiled after all (ADR 134).
+Each is made when it is first called: half of the classes of a command never get an object (ADR 164). Only the
+initializer of a class of which a process makes many objects is compiled after all (ADR 134).
 """
 
 import dataclasses
 from collections.abc import Callable
 from dataclasses import MISSING, FrozenInstanceError, fields
+from functools import partial
 from operator import attrgetter
 from reprlib import recursive_repr
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 T = TypeVar("T")
 Method = Callable[..., Any]
+# The options of a class that is made here, all with slots.
+_OPTIONS = {"frozen", "slots", "kw_only", "eq"}
 # Objects of a class from which on a compiled initializer (0.2 ms to make, 1 us saved by each object) pays.
 COMPILE_AFTER = 1000
 
@@ -23,30 +27,78 @@ if TYPE_CHECKING:
 else:
 
     def dataclass(**options: bool) -> Callable[[type[T]], type[T]]:
-        """As the standard one; only ``frozen``, ``slots`` and ``kw_only`` together are made here."""
-        made_here = options == {"frozen": True, "slots": True, "kw_only": True}
-        return _make_class if made_here else dataclasses.dataclass(**options)
+        """As the standard one; a class with slots gets its methods here, unless it is ordered."""
+        made_here = options.get("slots") and options.keys() <= _OPTIONS
+        return partial(_make_class, **options) if made_here else dataclasses.dataclass(**options)
 
 
-def _make_class(cls: type[T]) -> type[T]:
+def _make_class(
+    cls: type[T], *, frozen: bool = False, kw_only: bool = False, eq: bool = True, slots: bool = True
+) -> type[T]:
     cls.__doc__ = cls.__doc__ or cls.__name__  # the standard one would write a signature
-    made = dataclasses.dataclass(init=False, repr=False, eq=False, slots=True, kw_only=True)(cls)
-    methods = {
-        "__init__": _make_init(made),
-        "__repr__": _make_repr(made),
-        **_make_comparison(made),
-        "__setattr__": _refuse_assignment,
-        "__delattr__": _refuse_deletion,
-        "__getstate__": _get_state,
-        "__setstate__": _set_state,
-    }
+    made = dataclasses.dataclass(init=False, repr=False, eq=False, slots=slots, kw_only=kw_only)(cls)
+    methods = _defer_methods(made, frozen=frozen)
+    if eq:
+        methods |= _defer_comparison(made, frozen=frozen)
+    if frozen:
+        methods |= _FROZEN_METHODS
     for name, method in methods.items():
         if name not in made.__dict__:
             setattr(made, name, method)
     return made
 
 
-def _make_init(cls: type[Any]) -> Method:
+def _defer_methods(cls: type[Any], *, frozen: bool) -> dict[str, Method | None]:
+    """Initializer and representation, each of which is made and replaced by its first call."""
+
+    def __init__(self: Any, /, *given: Any, **values: Any) -> None:  # noqa: ANN401, N807
+        _replace(cls, "__init__", _choose_init(cls)(cls, frozen=frozen))(self, *given, **values)
+
+    def __repr__(self: Any) -> str:  # noqa: ANN401, N807
+        return str(_replace(cls, "__repr__", _make_repr(cls))(self))
+
+    return {"__init__": __init__, "__repr__": __repr__}
+
+
+def _defer_comparison(cls: type[Any], *, frozen: bool) -> dict[str, Method | None]:
+    def __eq__(self: object, other: object) -> Any:  # noqa: ANN401, N807
+        return _replace(cls, "__eq__", _make_equality(cls))(self, other)
+
+    def __hash__(self: object) -> int:  # noqa: N807
+        return int(_replace(cls, "__hash__", _make_hash(cls))(self))
+
+    return {"__eq__": __eq__, "__hash__": __hash__ if frozen else None}
+
+
+def _replace(cls: type[Any], name: str, method: Method) -> Method:
+    setattr(cls, name, method)
+    return method
+
+
+def _choose_init(cls: type[Any]) -> Method:
+    if not all(each.init for each in fields(cls)):
+        return _compile_init
+    return _make_init if all(each.kw_only for each in fields(cls)) else _make_positional_init
+
+
+def _make_positional_init(cls: type[Any], *, frozen: bool) -> Method:
+    names = [each.name for each in fields(cls) if not each.kw_only]
+    init = _make_init(cls, frozen=frozen)
+
+    def __init__(self: Any, /, *given: Any, **values: Any) -> None:  # noqa: ANN401, N807
+        if given:
+            first = names[: len(given)]
+            if len(given) > len(names):
+                raise TypeError(f"{cls.__qualname__}.__init__() takes {len(names)} arguments")
+            if not values.keys().isdisjoint(first):
+                raise TypeError(f"{cls.__qualname__}.__init__() got multiple values for an argument")
+            values.update(zip(first, given, strict=True))
+        init(self, **values)
+
+    return __init__
+
+
+def _make_init(cls: type[Any], *, frozen: bool) -> Method:
     setters = [(each.name, getattr(cls, each.name).__set__) for each in fields(cls)]
     defaults = {each.name: each.default for each in fields(cls) if each.default is not MISSING}
     factories = [
@@ -59,7 +111,7 @@ def _make_init(cls: type[Any]) -> Method:
         nonlocal made
         made += 1
         if made == COMPILE_AFTER:
-            cls.__init__ = _compile_init(cls)
+            cls.__init__ = _compile_init(cls, frozen=frozen)
         if len(values) != count:
             values = defaults | values
             for name, make in factories:
@@ -78,20 +130,20 @@ def _make_init(cls: type[Any]) -> Method:
     return __init__
 
 
-def _compile_init(cls: type[Any]) -> Method:
+def _compile_init(cls: type[Any], *, frozen: bool) -> Method:
     """The initializer that the standard library compiles for the same fields."""
     members: dict[str, Any] = {"__annotations__": {each.name: object for each in fields(cls)}}
     for each in fields(cls):
+        options: dict[str, Any] = {"init": each.init, "kw_only": each.kw_only}
         if each.default is not MISSING:
-            members[each.name] = dataclasses.field(default=each.default)
+            options["default"] = each.default
         elif each.default_factory is not MISSING:
-            members[each.name] = dataclasses.field(default_factory=each.default_factory)
+            options["default_factory"] = each.default_factory
+        members[each.name] = dataclasses.field(**options)
     if hasattr(cls, "__post_init__"):
         members["__post_init__"] = cls.__post_init__
     plain = type(cls.__name__, (), members)
-    made: Method = vars(dataclasses.dataclass(frozen=True, kw_only=True, repr=False, eq=False)(plain))[
-        "__init__"
-    ]
+    made: Method = vars(dataclasses.dataclass(frozen=frozen, repr=False, eq=False)(plain))["__init__"]
     made.__qualname__ = f"{cls.__qualname__}.__init__"
     return made
 
@@ -116,18 +168,28 @@ def _make_repr(cls: type[Any]) -> Method:
     return __repr__
 
 
-def _make_comparison(cls: type[Any]) -> dict[str, Method]:
+def _make_getter(cls: type[Any]) -> Method:
     names = [each.name for each in fields(cls) if each.compare]
     # Of one name attrgetter makes no tuple, and tuples compare the same object as equal, whatever it is.
-    get_values: Method = attrgetter(*names, *names[-1:]) if names else lambda _: ()
+    return attrgetter(*names, *names[-1:]) if names else lambda _: ()
+
+
+def _make_equality(cls: type[Any]) -> Method:
+    get_values = _make_getter(cls)
 
     def __eq__(self: object, other: object) -> Any:  # noqa: ANN401, N807
         return get_values(self) == get_values(other) if type(other) is type(self) else NotImplemented
 
+    return __eq__
+
+
+def _make_hash(cls: type[Any]) -> Method:
+    get_values = _make_getter(cls)
+
     def __hash__(self: object) -> int:  # noqa: N807
         return hash(get_values(self))
 
-    return {"__eq__": __eq__, "__hash__": __hash__}
+    return __hash__
 
 
 def _refuse_assignment(_self: object, name: str, _value: object) -> NoReturn:
@@ -145,3 +207,11 @@ def _get_state(self: Any) -> list[Any]:  # noqa: ANN401
 def _set_state(self: Any, state: list[Any]) -> None:  # noqa: ANN401
     for each, value in zip(fields(self), state, strict=True):
         object.__setattr__(self, each.name, value)
+
+
+_FROZEN_METHODS: dict[str, Method | None] = {
+    "__setattr__": _refuse_assignment,
+    "__delattr__": _refuse_deletion,
+    "__getstate__": _get_state,
+    "__setstate__": _set_state,
+}

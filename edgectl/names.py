@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lookup of names that a user typed, with suggestions, and their natural order."""
 
-import difflib
 import re
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
@@ -13,6 +12,8 @@ _MAX_WORD, _MAX_NAMES_LISTED = 100, 12
 
 def suggest_name(word: str, known: Iterable[str]) -> str:
     """The most similar known name, or an empty string."""
+    import difflib
+
     by_folded = {candidate.lower(): candidate for candidate in known}
     matches = difflib.get_close_matches(word.lower()[:_MAX_WORD], list(by_folded), n=1, cutoff=0.6)
     return by_folded[matches[0]] if matches else ""

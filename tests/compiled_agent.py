@@ -12,7 +12,8 @@ from tempfile import TemporaryDirectory
 from threading import Lock
 
 from edgectl.config.load import load_inventory
-from edgectl.transport.agent_client import _PROCESS_KEY, build_agent_zipapp, compute_agent_hash
+from edgectl.transport.agent_archive import build_agent_zipapp, compute_agent_hash
+from edgectl.transport.agent_client import _PROCESS_KEY
 
 # Of two threads that create it at once, the folder of one is removed under the other.
 _CREATION = Lock()

@@ -147,14 +147,109 @@ def test_a_list_that_contains_its_object_is_printed() -> None:
     assert "third=[...]" in repr(made)
 
 
-def test_other_kinds_are_those_of_the_standard_library() -> None:
-    @ours.dataclass(slots=True)
-    class Counter:
-        value: int = 0
+def make_positional(decorate: Decorator, **options: bool) -> type[Any]:
+    @decorate(slots=True, **options)
+    class Place:
+        """Is given by position."""
 
-    counter = Counter(3)
-    counter.value += 1
-    assert counter == Counter(value=4)
+        line: int
+        column: int = 1
+        words: list[str] = field(default_factory=list)
+        last: int = field(default=0, kw_only=True)
+
+    return Place
+
+
+OTHER_KINDS: list[dict[str, bool]] = [{"frozen": True}, {}, {"eq": False}, {"frozen": True, "eq": False}]
+POSITIONAL_CALLS: list[tuple[tuple[Any, ...], dict[str, Any]]] = [
+    ((3,), {}),
+    ((3, 4), {"last": 5}),
+    ((3,), {"column": 4, "words": ["a"]}),
+    ((), {"line": 3}),
+    ((), {}),
+    ((3,), {"line": 3}),
+    ((3, 4, [], 5), {}),
+    ((3,), {"other": 1}),
+]
+
+
+@pytest.mark.parametrize("options", OTHER_KINDS, ids=str)
+@pytest.mark.parametrize(("given", "named"), POSITIONAL_CALLS)
+def test_objects_given_by_position_are_made_alike(
+    options: dict[str, bool], given: tuple[Any, ...], named: dict[str, Any]
+) -> None:
+    made = [
+        describe_positional(make_positional(decorate, **options), given, named)
+        for decorate in (ours.dataclass, dataclasses.dataclass)
+    ]
+    assert made[0] == made[1]
+
+
+def describe_positional(kind: type[Any], given: tuple[Any, ...], named: dict[str, Any]) -> object:
+    try:
+        made = kind(*given, **named)
+    except TypeError as error:
+        return type(error)
+    other = kind(*given, **named)
+    hashed = kind.__hash__ not in (None, object.__hash__)
+    return dataclasses.astuple(made), repr(made).partition("(")[2], made == other, hashed, kind.__match_args__
+
+
+def test_an_object_that_may_change_changes_and_has_no_hash() -> None:
+    place = make_positional(ours.dataclass)(3)
+    place.column += 1
+    assert place.column == 2
+    assert place == type(place)(3, 2)
+    assert place != type(place)(3)
+    assert place != 3
+    assert copy.copy(place) == place
+    with pytest.raises(TypeError):
+        hash(place)
+    with pytest.raises(AttributeError):
+        place.other = 1
+
+
+def test_a_frozen_object_given_by_position_is_frozen_and_pickled() -> None:
+    place = FROZEN_PLACE(3, 4)
+    with pytest.raises(FrozenInstanceError):
+        place.line = 4
+    assert pickle.loads(pickle.dumps(place)) == place
+    assert dataclasses.replace(place, line=9) == FROZEN_PLACE(9, 4)
+
+
+FROZEN_PLACE = make_positional(ours.dataclass, frozen=True)
+FROZEN_PLACE.__qualname__ = "FROZEN_PLACE"
+
+
+@pytest.mark.parametrize("options", [{}, {"kw_only": True}, {"frozen": True, "kw_only": True}], ids=str)
+def test_a_field_that_is_not_given_is_set_later(options: dict[str, bool]) -> None:
+    @ours.dataclass(slots=True, **options)
+    class Search:
+        first: int
+        rest: dict[str, int] = field(default_factory=dict, init=False)
+        total: int = field(init=False)
+
+        def __post_init__(self) -> None:
+            object.__setattr__(self, "total", self.first + len(self.rest))
+
+    assert Search(first=2).total == 2
+    with pytest.raises(TypeError):
+        Search(first=2, rest={})  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize("options", OTHER_KINDS, ids=str)
+def test_a_class_of_many_objects_keeps_its_behaviour(options: dict[str, bool]) -> None:
+    """From some number on its initializer is the one that the standard library compiles."""
+    kind = make_positional(ours.dataclass, **options)
+    first = kind.__init__
+    made = [kind(number, last=2) for number in range(ours.COMPILE_AFTER + 1)]
+    assert kind.__init__ is not first
+    assert {each.last for each in made} == {2}
+    assert [each.line for each in made] == list(range(len(made)))
+    assert made[-1].words == []
+    assert made[-1].words is not made[-2].words
+    with pytest.raises(TypeError):
+        kind(1, 2, [], 4)
 
 
 def test_nothing_is_compiled() -> None:
@@ -166,6 +261,10 @@ def test_nothing_is_compiled() -> None:
         "    @module.dataclass(frozen=True, slots=True, kw_only=True)\n"
         "    class Point:\n        x: int\n        y: int = 0\n"
         "    Point(x=1) == Point(x=2)\n"
+        "    for options in ({'frozen': True}, {}, {'eq': False}):\n"
+        "        @module.dataclass(slots=True, **options)\n"
+        "        class Place:\n            x: int\n            y: int = 0\n"
+        "        Place(1) == Place(x=2)\n"
         "    print(len(seen))\n"
     )
     done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=True)

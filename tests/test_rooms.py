@@ -92,7 +92,7 @@ OWNERS: dict[str, str | tuple[str, ...]] = {
     "typer": ("cli", "experiments/commands"),
     "rich": ("views", "tui/"),
     "yaml": ("config", "views/encoder"),
-    "fabric": "transport/ssh",
+    "fabric": "transport/ssh_client",
     "paramiko": "transport/ssh",
     "psutil": "agent",
     "platformdirs": "state",

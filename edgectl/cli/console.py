@@ -39,7 +39,7 @@ def _print_notes(view: "View", form: "OutputFormat") -> None:
 
 def print_notes(lines: Iterable[str]) -> None:
     """Print notes on stderr."""
-    from edgectl.views.plan_sections import render_notes
+    from edgectl.views.notes import render_notes
 
     print_stderr(render_notes(lines, get_stderr_render_options()))
 

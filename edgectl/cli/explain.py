@@ -65,7 +65,8 @@ def explain_command(
     from edgectl.usecases.history import find_last_carries
     from edgectl.usecases.plan import is_what_if, make_plan
     from edgectl.views.explanation import ExplanationView
-    from edgectl.views.plan_sections import list_lost_task_notes, list_slack_notes, list_unreachable_notes
+    from edgectl.views.notes import list_lost_task_notes, list_unreachable_notes
+    from edgectl.views.plan_sections import list_slack_notes
 
     if is_reference_word(task):
         from edgectl.views.reference import ReferenceView

@@ -32,7 +32,7 @@ def graph_command(
     from edgectl.config.documents import load_snapshot
     from edgectl.usecases.plan import is_what_if, make_plan
     from edgectl.views.graph import build_task_graph
-    from edgectl.views.plan_sections import list_snapshot_notes
+    from edgectl.views.notes import list_snapshot_notes
 
     loaded = load_inputs(inventory, tasks)
     fleet = build_offline_fleet(loaded) if snapshot else build_fleet(loaded, accept_new=accept_new)

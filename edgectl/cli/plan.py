@@ -45,7 +45,6 @@ def plan_command(
     """
     from edgectl.cli.connect import build_fleet, build_offline_fleet
     from edgectl.cli.policy_options import build_plan_filter, policy_from_options, require_solver
-    from edgectl.config.documents import load_snapshot
     from edgectl.usecases.plan import is_what_if, make_plan
     from edgectl.views.output import render_view
     from edgectl.views.plan import PlanView
@@ -59,14 +58,12 @@ def plan_command(
         if snapshot is not None or out is not None:
             raise UsageError("-w plans from hosts, again and again", hint="omit --snapshot and --out")
         return _watch_plans(fleet, how, choose, every, output)
-    result = choose(
-        make_plan(
-            fleet,
-            how,
-            snapshot=load_snapshot(snapshot) if snapshot else None,
-            recorded=not is_what_if(fleet, how),
-        )
-    )
+    seen = None
+    if snapshot:
+        from edgectl.config.documents import load_snapshot
+
+        seen = load_snapshot(snapshot)
+    result = choose(make_plan(fleet, how, snapshot=seen, recorded=not is_what_if(fleet, how)))
     _warn_of_former_fleet(fleet, result)
     carried = None
     stateful = any(task.state is not None for task in loaded.tasks.tasks.values())

@@ -89,11 +89,11 @@ def load_saved_plan(path: Path | None, overrides: PolicyOptions, limits: PlanFil
         UsageError: an option that changes decisions is given as well.
         InputError: everything that is wrong with the file, or others may write it.
     """
+    if path is None:
+        return None
     from edgectl.config.documents import read_plan
     from edgectl.config.problems import Problems
 
-    if path is None:
-        return None
     if any(dataclasses.astuple(overrides)) or any(dataclasses.astuple(limits)):
         raise UsageError(
             f"{path} is a saved plan: options that change decisions do not apply to it",

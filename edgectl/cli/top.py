@@ -174,8 +174,8 @@ def _watch_top(fleet: "Fleet", what: str, output: OutputFormat, every: float, lo
 
 def _redraw_screen(views: "Iterator[View]", output: OutputFormat) -> None:
     from edgectl.cli.terminal import listen_for_keys, open_screen
+    from edgectl.views.notes import render_notes
     from edgectl.views.output import render_view
-    from edgectl.views.plan_sections import render_notes
     from edgectl.views.text import detect_render_options
 
     with listen_for_keys(_quit_on_q), open_screen() as show:

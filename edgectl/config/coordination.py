@@ -14,7 +14,7 @@ from edgectl.model.inventory import Coordination
 
 _DEFAULT_PORT, _MAX_ENDPOINTS = 2379, 9
 _HOST = r"(?:\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9](?:[A-Za-z0-9._-]*[A-Za-z0-9])?)"
-_ENDPOINT = re.compile(rf"({_HOST})(?::([0-9]{{1,5}}))?")
+_ENDPOINT = rf"({_HOST})(?::([0-9]{{1,5}}))?"
 _ADDRESS_PATTERN = (
     rf"^etcds?://{_HOST}(?::[0-9]{{1,5}})?(?:,{_HOST}(?::[0-9]{{1,5}})?){{0,{_MAX_ENDPOINTS - 1}}}$"
 )
@@ -54,7 +54,7 @@ def _read_address(node: Node, problems: Problems) -> Any:  # noqa: ANN401 - INVA
 
 
 def _parse_endpoint(text: str) -> tuple[str, int] | None:
-    match = _ENDPOINT.fullmatch(text)
+    match = re.fullmatch(_ENDPOINT, text)
     if match is None:
         return None
     port = int(match[2] or _DEFAULT_PORT)

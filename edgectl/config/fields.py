@@ -4,7 +4,6 @@
 import re
 import shlex
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from edgectl.config.node import Node, redact_node
@@ -25,6 +24,7 @@ from edgectl.config.schema import (
     describe_reader,
     get_reader_schema,
 )
+from edgectl.dataclass import dataclass
 from edgectl.model.secret import Secret
 
 ENV_NAME_PATTERN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")

@@ -2,13 +2,13 @@
 """Rules for hosts of a task, checked against the inventory."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from edgectl.config.fields import Fields
 from edgectl.config.node import Node
 from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.task_file import TaskDraft
+from edgectl.dataclass import dataclass
 from edgectl.model.inventory import Host, Inventory, Role
 from edgectl.model.task import (
     HostRules,

@@ -12,12 +12,13 @@ from edgectl.config.scalars import INVALID, NodeReader, enum_reader, integer_rea
 from edgectl.config.schema import build_object_schema, describe_as, describe_reader, get_reader_schema
 from edgectl.model.image import ContainerEngine, ContainerImage, PullPolicy
 
-_REFERENCE_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._/:@-]{0,254}")
+# Compiled when an image is read, which few files have.
+_REFERENCE_PATTERN = r"[A-Za-z0-9][A-Za-z0-9._/:@-]{0,254}"
 # A placeholder may be part of these; a leading - would be an option of the engine.
-_DEVICE_PATTERN = re.compile(r"/[^\s,:]+(?::[^\s,:]+){0,2}|[a-z0-9][\w.-]*/[\w.-]+=[\w.:-]+")
-_VOLUME_PATTERN = re.compile(r"(?:[/~{]|[A-Za-z0-9])[^:]*:[/{][^:]*(?::[A-Za-z,]+)?")
-_WORD_PATTERN = re.compile(r"[A-Za-z0-9{][A-Za-z0-9._:/{}-]*")
-_OPTION_PATTERN = re.compile(r"--?([A-Za-z][a-z-]*)(?:=.*)?", re.DOTALL)
+_DEVICE_PATTERN = r"/[^\s,:]+(?::[^\s,:]+){0,2}|[a-z0-9][\w.-]*/[\w.-]+=[\w.:-]+"
+_VOLUME_PATTERN = r"(?:[/~{]|[A-Za-z0-9])[^:]*:[/{][^:]*(?::[A-Za-z,]+)?"
+_WORD_PATTERN = r"[A-Za-z0-9{][A-Za-z0-9._:/{}-]*"
+_OPTION_PATTERN = r"(?s)--?([A-Za-z][a-z-]*)(?:=.*)?"
 # Options by which edgectl finds, follows and ends its containers.
 _OWN_OPTIONS = (
     *("name", "cidfile", "rm", "restart", "init", "log-driver", "pull", "detach-keys", "stop-signal"),
@@ -25,17 +26,17 @@ _OWN_OPTIONS = (
 )
 
 
-def _text_reader(pattern: re.Pattern[str], what: str, hint: str) -> NodeReader:
+def _text_reader(pattern: str, what: str, hint: str) -> NodeReader:
     """A text of a form; ``what`` it is not, otherwise."""
 
     def read(node: Node, problems: Problems) -> Any:  # noqa: ANN401
         value = read_text(node, problems)
-        if isinstance(value, str) and not pattern.fullmatch(value):
+        if isinstance(value, str) and not re.fullmatch(pattern, value):
             problems.add(node.mark, ProblemCode.TEXT, f"{value!r} is no {what}", hint)
             return INVALID
         return value
 
-    return describe_reader(read, lambda: {"type": "string", "pattern": f"^(?:{pattern.pattern})$"})
+    return describe_reader(read, lambda: {"type": "string", "pattern": f"^(?:{pattern})$"})
 
 
 read_reference = _text_reader(
@@ -60,7 +61,7 @@ def _read_option(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     value = read_text(node, problems)
     if not isinstance(value, str):
         return value
-    found = _OPTION_PATTERN.fullmatch(value)
+    found = re.fullmatch(_OPTION_PATTERN, value)
     if found is None:
         hint = "write options with their values as one word: --shm-size=1g"
         problems.add(node.mark, ProblemCode.TEXT, f"{value!r} is no option of the engine", hint)

@@ -2,12 +2,13 @@
 """Resolution of ``needs`` between expanded tasks, and detection of cycles."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from graphlib import CycleError, TopologicalSorter
 
 from edgectl.config.node import Node
 from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.task_file import TaskDraft, TaskTemplate
+from edgectl.dataclass import dataclass
 from edgectl.model.task import Need
 from edgectl.names import natural_key
 

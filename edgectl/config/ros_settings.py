@@ -17,7 +17,7 @@ from edgectl.model.ros import MASTER_PORT, RosSettings
 _VERSION_OF_KEY = {"master": 1, "domain": 2, "rmw": 2, "discovery_server": 2}
 _read_address = address_reader()
 # Of the characters of an address alone: it reaches shells, as {master}.
-_MASTER_URI = re.compile(r"http://[A-Za-z0-9._:%\[\]-]+:[0-9]{1,5}/?")
+_MASTER_URI = r"http://[A-Za-z0-9._:%\[\]-]+:[0-9]{1,5}/?"
 
 
 @describe_as(lambda: {"type": "string", "pattern": r"^(~/|/)[^\0]*$"})
@@ -41,7 +41,7 @@ def _read_master(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     text = read_text(node, problems)
     if not isinstance(text, str) or "://" not in text:
         return text if text is INVALID else _read_address(node, problems)
-    if _MASTER_URI.fullmatch(text):
+    if re.fullmatch(_MASTER_URI, text):
         return text
     problems.add(
         node.mark,

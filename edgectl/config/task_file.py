@@ -2,7 +2,6 @@
 """Task file: the keys of tasks and policy, and the templates that it holds."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from edgectl.config.check_readers import check_reader, read_alive
 from edgectl.config.demand_readers import read_demand
@@ -60,6 +59,7 @@ from edgectl.config.task_readers import (
     read_stop,
     read_weights,
 )
+from edgectl.dataclass import dataclass
 from edgectl.model.check import CheckLocation, OnUnhealthy
 from edgectl.model.policy import Policy, PolicyName, Preference, SequenceRule
 from edgectl.model.task import (

@@ -7,7 +7,7 @@ import yaml
 
 from edgectl.config.problems import Mark, Source
 
-_KEY_VALUE_PATTERN = re.compile(r"^\s*(?:- )?([\w.-]+): +(.*?)\s*$")
+_KEY_VALUE_PATTERN = r"^\s*(?:- )?([\w.-]+): +(.*?)\s*$"
 # words of the parser -> (message, hint)
 _EXPLANATIONS = (
     (
@@ -95,7 +95,7 @@ def _find_error_mark(source: Source, error: yaml.YAMLError, *, begin: bool) -> M
 
 
 def _suggest_quoted_value(line: str) -> str:
-    match = _KEY_VALUE_PATTERN.match(line)
+    match = re.match(_KEY_VALUE_PATTERN, line)
     if match is None or not match[2]:
         return "put the text in quotes"
     quoted = match[2].replace("'", "''")

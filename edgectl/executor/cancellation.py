@@ -3,7 +3,7 @@
 
 import time
 
-from edgectl.executor.step_run import RunOptions
+from edgectl.executor.run_options import RunOptions
 from edgectl.model.result import ActionResult, Outcome
 
 INTERRUPTED = "interrupted before it began"

@@ -23,6 +23,7 @@ from edgectl.executor.dependencies import (
 )
 from edgectl.executor.handoff import inherit_state, move_task, replace_task, start_instance
 from edgectl.executor.phases import perform_phases, resolve_variables
+from edgectl.executor.run_options import RunIdentity, RunOptions
 from edgectl.executor.standby_run import (
     build_copy_dependencies,
     end_copy_step,
@@ -32,7 +33,7 @@ from edgectl.executor.standby_run import (
 )
 from edgectl.executor.start_phases import StartPhases, build_start_phases
 from edgectl.executor.state_transfer import drop_state
-from edgectl.executor.step_run import RunContext, RunIdentity, RunOptions, StepRun
+from edgectl.executor.step_run import RunContext, StepRun
 from edgectl.executor.stop_budget import BudgetSpentError, StopBudget
 from edgectl.executor.worker_pool import WorkerPool
 from edgectl.model.assignment import Reason

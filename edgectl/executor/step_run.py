@@ -3,7 +3,6 @@
 
 import contextlib
 import dataclasses
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import field
@@ -12,6 +11,7 @@ from edgectl.agent.link import protocol
 from edgectl.dataclass import dataclass
 from edgectl.errors import ConnectError, HostError, RefusedError, StateError
 from edgectl.executor.host_requests import Request, build_instance_id
+from edgectl.executor.run_options import RunIdentity, RunOptions
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.plan import Plan, Step
 from edgectl.model.progress import ProgressEvent, ProgressStage
@@ -23,39 +23,6 @@ from edgectl.transport.agent_client import call_agent, stream_agent_chunks
 from edgectl.transport.base import Session, Transport
 from edgectl.transport.fleet_lease import FleetLease
 from edgectl.transport.held_call import hold_agent_call
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunOptions:
-    """How a plan is carried out.
-
-    ``max_parallel``: actions at once. ``stop_requested``: set it, and no further action begins.
-    ``fail_fast``: nor after a failure; ``deadline`` (monotonic clock, None for none): nor after it.
-    ``connect_s``, ``call_s``: deadlines of a connection and of a short request.
-    ``poll_s``: pause before a condition is asked again.
-    """
-
-    max_parallel: int = 16
-    fail_fast: bool = False
-    deadline: float | None = None
-    stop_requested: threading.Event = field(default_factory=threading.Event)
-    connect_s: float = 15.0
-    call_s: float = 15.0
-    poll_s: float = 0.5
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunIdentity:
-    """The record of one run: ``plan_id`` and ``revision`` name it, ``verb`` and ``user`` go into the journal.
-
-    ``generations``: the generation to start each task with.
-    """
-
-    plan_id: str
-    revision: int
-    generations: Mapping[str, int] = field(default_factory=dict)
-    verb: str = "apply"
-    user: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

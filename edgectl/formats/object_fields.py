@@ -2,9 +2,10 @@
 """Fields of a dataclass in a JSON object: single, grouped below a key, or amounts by resource."""
 
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass
+from dataclasses import MISSING
 from typing import Any
 
+from edgectl.dataclass import dataclass
 from edgectl.formats.document import Document, Faults, FieldPath
 from edgectl.formats.scalar_codecs import Codec, is_type, report_absent
 from edgectl.model.encoding import DocumentKey

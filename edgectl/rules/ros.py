@@ -12,7 +12,7 @@ from edgectl.model.task import Task
 
 Document = dict[str, object]
 # A word with a slash or a dot is a file, not a package.
-_PACKAGE = re.compile(r"\b(?:rosrun|roslaunch|ros2\s+run|ros2\s+launch)\s+([A-Za-z][A-Za-z0-9_-]*)(?=\s)")
+_PACKAGE = r"\b(?:rosrun|roslaunch|ros2\s+run|ros2\s+launch)\s+([A-Za-z][A-Za-z0-9_-]*)(?=\s)"
 
 
 def encode_ros(task: Task, host: Host, hosts: Mapping[str, Host]) -> Document | None:
@@ -56,7 +56,7 @@ def list_ros_packages(tasks: Mapping[str, Task], host: Host) -> dict[str, str]:
     for name, task in tasks.items():
         allowed = host.role is Role.EDGE and task.hosts.allow(host.name, host.labels)
         if task.managed and (allowed or (host.onboard and task.robots == (host.name,))):
-            for package in _PACKAGE.findall(task.command):
+            for package in re.findall(_PACKAGE, task.command):
                 found.setdefault(package, name)
     return found
 

@@ -11,10 +11,11 @@ import os
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Self
 
+from edgectl.dataclass import dataclass
 from edgectl.errors import StateError
 from edgectl.state.failpoints import hit_failpoint
 from edgectl.state.journal_reader import JOURNAL_FORMAT, JournalEntry, JournalSummary, read_journal

@@ -4,10 +4,11 @@
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import lru_cache
 from pathlib import Path
 
+from edgectl.dataclass import dataclass
 from edgectl.errors import StateError
 
 JOURNAL_FORMAT = 1

@@ -6,27 +6,22 @@ marker of this request, its length and its SHA-256 counts, so noise never change
 """
 
 import hashlib
-import io
 import json
 import re
 import secrets
 import shlex
 import time
-import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
 from functools import cache
-from pathlib import Path
 
 from edgectl.agent.link import protocol
 from edgectl.errors import DeadlineError, NoPythonError, RefusedError, ReplyError
 from edgectl.model.inventory import Host
 from edgectl.model.text import clean_text
+from edgectl.transport.agent_archive import AGENT_DIR, build_agent_zipapp, compute_agent_hash, read_program
 from edgectl.transport.base import Reply, Session, Transport, trace_call
 
-_AGENT_DIR = Path(__file__).parent.parent / "agent"
-_LICENCE_LINE = b"# SPDX-License-Identifier: Apache-2.0\n"
-_AGENT_PACKAGE = "edgectl_agent"
 # No newline, quote, backslash or exclamation mark: between single quotes it is safe in sh, bash, zsh, fish
 # and tcsh. The alarm ends an agent whose program never arrives (a dead connection); the program then sets the
 # deadline.
@@ -56,32 +51,6 @@ def build_agent_command(python: str) -> str:
     return f"exec {shlex.quote(python)} -I -S -c '{_BOOTSTRAP}'"
 
 
-def read_program(path: Path) -> bytes:
-    """The text of a program for hosts, without the line of its licence: 38 bytes in each of its files."""
-    return path.read_bytes().removeprefix(_LICENCE_LINE)
-
-
-@cache
-def build_agent_zipapp() -> bytes:
-    """The agent as a zipapp, reproducible: sorted names, fixed dates, no compression."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
-        for name, path in sorted(
-            (path.relative_to(_AGENT_DIR).as_posix(), path) for path in _AGENT_DIR.rglob("*.py")
-        ):
-            entry = zipfile.ZipInfo(f"{_AGENT_PACKAGE}/{name}", date_time=(1980, 1, 1, 0, 0, 0))
-            entry.create_system = 3
-            entry.external_attr = 0o100600 << 16
-            archive.writestr(entry, read_program(path))
-    return buffer.getvalue()
-
-
-@cache
-def compute_agent_hash() -> str:
-    """SHA-256 of the agent: the name of its file on the hosts."""
-    return hashlib.sha256(build_agent_zipapp()).hexdigest()
-
-
 def use_cache_key(fleet: str, key: str) -> None:
     """Seal the compiled agent on the hosts of ``fleet`` with ``key``, letters and digits (ADR 57)."""
     _CACHE_KEYS[fleet] = key
@@ -90,7 +59,7 @@ def use_cache_key(fleet: str, key: str) -> None:
 @cache
 def _read_boot_programs() -> bytes:
     """The stub and the boot program, each after its length; most hosts never unpack the latter."""
-    stub, boot = (read_program(_AGENT_DIR / "link" / name) for name in ("stub.py", "boot.py"))
+    stub, boot = (read_program(AGENT_DIR / "link" / name) for name in ("stub.py", "boot.py"))
     return b"".join(b"%d\n%s" % (len(text), text) for text in (stub, zlib.compress(boot, 9)))
 
 

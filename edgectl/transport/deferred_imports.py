@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Import Fabric and paramiko without modules that no connection of ours uses."""
+"""Import packages without modules of others that they import and that nothing of ours uses."""
 
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -9,9 +10,16 @@ from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 
-# Together a third of the CPU time of ``import fabric``: Mock (with asyncio and ssl) for invoke's MockContext,
-# a YAML parser for invoke's own configuration files, and a parser of e-mail for paramiko's version.
-DEFERRED_MODULES = ("unittest.mock", "invoke.vendor.yaml", "importlib.metadata")
+# By package. paramiko imports invoke for ``Match exec`` of ssh_config, which edgectl leaves to ssh, and a
+# parser of e-mail for its version. invoke imports Mock (with asyncio and ssl) for its MockContext, and a YAML
+# parser for files of its own. typer imports what finds similar words, what names the system, and UUIDs, for
+# options of a type that edgectl has none of.
+DEFERRED_MODULES = {
+    "typer.main": ("difflib", "platform", "uuid"),
+    "paramiko": ("invoke", "importlib.metadata"),
+    "fabric": ("unittest.mock", "invoke.vendor.yaml", "importlib.metadata"),
+}
+_IMPORTING = threading.RLock()
 
 
 class _DeferredModule(ModuleType):
@@ -29,22 +37,23 @@ class _DeferredModule(ModuleType):
 
 
 def import_deferred(name: str) -> ModuleType:
-    """Import the module ``name``; ``DEFERRED_MODULES`` that it imports from are imported when they are used.
+    """Import the module ``name``; its ``DEFERRED_MODULES`` are imported when they are used.
 
     Where a module uses one of them while it is imported, other than by a call, all are imported at once.
     """
-    if name in sys.modules:
-        return sys.modules[name]
-    try:
-        with _put_stand_ins():
+    with _IMPORTING:
+        if name in sys.modules:
+            return sys.modules[name]
+        try:
+            with _put_stand_ins(DEFERRED_MODULES.get(name, ())):
+                return import_module(name)
+        except (AttributeError, ImportError, TypeError):
             return import_module(name)
-    except (AttributeError, ImportError, TypeError):
-        return import_module(name)
 
 
 @contextmanager
-def _put_stand_ins() -> Iterator[None]:
-    stand_ins = [_DeferredModule(name) for name in DEFERRED_MODULES if name not in sys.modules]
+def _put_stand_ins(names: tuple[str, ...]) -> Iterator[None]:
+    stand_ins = [_DeferredModule(name) for name in names if name not in sys.modules]
     for each in stand_ins:
         if each.__name__ == "importlib.metadata":
             each.version = _read_version  # type: ignore[attr-defined]

@@ -10,7 +10,7 @@ from edgectl.transport.deferred_imports import import_deferred
 
 
 class FleetTransport:
-    """A Transport that makes each kind of transport when the first host needs it (Fabric only for ``ssh``).
+    """A Transport that makes each kind of transport when the first host needs it (paramiko only for ``ssh``).
 
     A host whose ``transport`` names a plugin is reached by what that plugin makes.
 
@@ -51,7 +51,7 @@ class FleetTransport:
             from edgectl.transport.openssh import OpenSshTransport
 
             return OpenSshTransport(accept_new=self._accept_new)
-        import_deferred("edgectl.transport.ssh")
+        import_deferred("paramiko")
         from edgectl.transport.ssh import SshTransport
 
         return SshTransport(accept_new=self._accept_new, ask_password=self._ask_password)

@@ -4,8 +4,9 @@
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from edgectl.dataclass import dataclass
 from edgectl.errors import ConnectError, HostError
 from edgectl.transport.sockets import CONNECT_TIMEOUT_S, MAX_TUNNEL_BYTES, TunnelLine
 from edgectl.transport.ssh_session import SshSession

@@ -15,10 +15,10 @@ import re
 import secrets
 import threading
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
+from edgectl.dataclass import dataclass
 from edgectl.errors import HostKeyError
 
 DEFAULT_SSH_PORT = 22

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from edgectl.model.inventory import Connection, Host
 from edgectl.transport import enter_program
-from edgectl.transport.agent_client import read_program
+from edgectl.transport.agent_archive import read_program
 from edgectl.transport.openssh import OpenSshTransport
 
 # Unpacks the program and runs it. No character of it, or of its arguments, means anything to any login shell.

@@ -4,9 +4,10 @@
 import contextlib
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import partial
 
+from edgectl.dataclass import dataclass
 from edgectl.errors import ConnectError, DeadlineError, HostError
 from edgectl.model.inventory import Host
 from edgectl.transport.base import Session, Transport

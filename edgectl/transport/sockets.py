@@ -11,9 +11,10 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
+
+from edgectl.dataclass import dataclass
 
 # Bounds of connecting, seconds.
 CONNECT_TIMEOUT_S = 5.0

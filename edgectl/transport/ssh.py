@@ -1,18 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SSH over Fabric: its client with our socket, host key policy and deadline (``docs/concepts/ssh.md``)."""
+"""SSH by paramiko, jump hosts by Fabric, on sockets of ours, within deadlines (``docs/concepts/ssh.md``)."""
 
 import logging
 import secrets
-import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-import fabric
 import paramiko
 
 from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError, HostKeyError
@@ -24,7 +22,6 @@ from edgectl.transport.passwords import PasswordStore
 from edgectl.transport.sockets import (
     CONNECT_TIMEOUT_S,
     MAX_LOGIN_BYTES,
-    REKEY_BYTES,
     Line,
     connect_tcp,
     hang_up,
@@ -32,6 +29,7 @@ from edgectl.transport.sockets import (
     watchdog,
 )
 from edgectl.transport.ssh_auth import Keyring, LoginStrategy, RefusedLoginError
+from edgectl.transport.ssh_client import PreparedClient, prepare_client, prepare_jump_client
 from edgectl.transport.ssh_config import ResolvedHost, SshConfigResolver, parse_jump_host
 from edgectl.transport.ssh_errors import translate_ssh_error
 from edgectl.transport.ssh_session import SshSession
@@ -41,6 +39,8 @@ from edgectl.transport.ssh_session import SshSession
 PAUSES_S = (0.2, 0.5, 1.0)
 KEEPALIVE_S = 15
 T = TypeVar("T")
+# Makes a client of a host on a line, with what it verifies and how it logs in.
+PrepareClient = Callable[[ResolvedHost, HostKeyVerifier, Line, LoginStrategy], PreparedClient]
 # paramiko logs what it also raises; the logger can still be configured.
 logging.getLogger("paramiko").addHandler(logging.NullHandler())
 
@@ -121,45 +121,36 @@ class SshTransport:
         """
         return self._host_keys.trust(self._resolver.resolve(host), key)
 
-    def _login(self, resolved: ResolvedHost, deadline: float, password: str | None = None) -> SshSession:
+    def _login(
+        self,
+        resolved: ResolvedHost,
+        deadline: float,
+        password: str | None = None,
+        *,
+        prepare: PrepareClient = prepare_client,
+    ) -> SshSession:
         return _retry_while_busy(
-            partial(self._attempt, resolved, deadline, password), deadline, resolved.name
+            partial(self._attempt, resolved, deadline, password, prepare), deadline, resolved.name
         )
 
-    def _attempt(self, resolved: ResolvedHost, deadline: float, password: str | None) -> SshSession:
+    def _attempt(
+        self, resolved: ResolvedHost, deadline: float, password: str | None, prepare: PrepareClient
+    ) -> SshSession:
         login = LoginStrategy(resolved.user, self._keyring.keys_for(resolved), password)
         with self._line(resolved, deadline) as (line, done), self._deadline(resolved, line, deadline):
-            connection = self._fabric(resolved, line, login)
+            made = prepare(resolved, self._host_keys, line, login)
             try:
-                connection.open()
-                connection.transport.set_keepalive(KEEPALIVE_S)
+                made.open()
+                session = SshSession(resolved.name, made.client, line, after=done)
+                session.transport.set_keepalive(KEEPALIVE_S)
                 line.allowance.renew(MAX_LOGIN_BYTES)
-                return SshSession(resolved.name, connection.client, line, after=done)
             except BaseException as error:
                 hang_up(line)
-                _raise_if_busy(connection.client.get_transport(), error)
+                transport = made.client.get_transport()
+                made.client.close()
+                _raise_if_busy(transport, error)
                 raise
-            finally:
-                if not connection.is_connected:
-                    connection.client.close()
-
-    def _fabric(self, resolved: ResolvedHost, line: Line, login: LoginStrategy) -> "fabric.Connection":
-        # Lazy: no file of Fabric (~/.fabric.py) is read or executed. Not shared: its merge is not
-        # thread-safe.
-        config = fabric.Config(lazy=True, ssh_config=paramiko.SSHConfig())
-        connection = fabric.Connection(
-            resolved.hostname,
-            user=resolved.user,
-            port=resolved.port,
-            config=config,
-            connect_kwargs={
-                "sock": line,
-                "auth_strategy": login,
-                "transport_factory": partial(_build_paramiko_transport, self._host_keys.key_types(resolved)),
-            },
-        )
-        connection.client.set_missing_host_key_policy(_HostKeyPolicy(resolved, self._host_keys))
-        return connection
+            return session
 
     @contextmanager
     def _line(self, resolved: ResolvedHost, deadline: float) -> Iterator[tuple[Line, Callable[[], None]]]:
@@ -228,68 +219,11 @@ class SshTransport:
         if resolved.proxy_jump and resolved.proxy_jump == jump:
             resolved = replace(resolved, proxy_jump="")
         try:
-            return self._login(resolved, deadline)
+            return self._login(resolved, deadline, prepare=prepare_jump_client)
         except HostError as error:
             # A jump host may be missing in the inventory, so `edgectl trust` may not know it; ssh does.
             hint = error.hint.replace("edgectl trust", "ssh")
             raise type(error)(f"jump host {host.name}: {error.message}", hint=hint) from error
-
-
-class _HostKeyPolicy(paramiko.MissingHostKeyPolicy):
-    """Called by paramiko for every key, because it knows no hosts itself."""
-
-    def __init__(self, resolved: ResolvedHost, host_keys: HostKeyVerifier) -> None:
-        self._resolved = resolved
-        self._host_keys = host_keys
-
-    def missing_host_key(self, client: paramiko.SSHClient, hostname: str, key: paramiko.PKey) -> None:
-        """Raise unless known_hosts has ``key``."""
-        del client, hostname
-        self._host_keys.verify(self._resolved, HostKey(key.get_name(), key.asbytes()))
-
-
-class _BoundedTransport(paramiko.Transport):
-    """A transport that counts each key exchange against its line's allowance, and never waits for itself."""
-
-    def __init__(self, line: Line) -> None:
-        super().__init__(line)  # type: ignore[arg-type]
-        self._allowance = line.allowance
-
-    def _parse_kex_init(self, m: paramiko.Message) -> None:
-        self._allowance.charge(REKEY_BYTES)
-        super()._parse_kex_init(m)  # type: ignore[misc]
-
-    def global_request(
-        self,
-        kind: str,
-        data: Iterable[object] | None = None,
-        wait: bool = True,  # noqa: FBT001, FBT002 - as paramiko has it
-    ) -> paramiko.Message | None:
-        """Send a request, but no keepalive while keys are exchanged.
-
-        paramiko sends keepalives from the thread that reads, which would wait half a minute for its own work.
-        """
-        if threading.current_thread() is self and not self.clear_to_send.is_set():
-            return None
-        return super().global_request(kind, data, wait)
-
-
-def _build_paramiko_transport(
-    preferred: list[str], sock: Line, disabled_algorithms: object = None
-) -> paramiko.Transport:
-    """A paramiko transport that prefers the host key types that known_hosts has, as OpenSSH does."""
-    del disabled_algorithms
-    transport = _BoundedTransport(sock)
-    offered = transport.get_security_options()
-    types = list(offered.key_types)
-    wanted = [
-        kind
-        for known in preferred
-        for kind in (("rsa-sha2-512", "rsa-sha2-256") if known == "ssh-rsa" else (known,))
-    ]
-    first = [kind for kind in wanted if kind in types]
-    offered.key_types = (*first, *(kind for kind in types if kind not in first))
-    return transport
 
 
 def _can_use_password(refusal: AuthError) -> bool:

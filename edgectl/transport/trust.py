@@ -3,12 +3,15 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from edgectl.errors import HostError
 from edgectl.model.inventory import Connection, Host
+from edgectl.transport.deferred_imports import import_deferred
 from edgectl.transport.known_hosts import HostKey, HostKeyVerdict
-from edgectl.transport.ssh import SshTransport
+
+if TYPE_CHECKING:
+    from edgectl.transport.ssh import SshTransport
 
 
 class ShownKey(NamedTuple):
@@ -28,7 +31,7 @@ def fetch_host_key(host: Host, *, timeout: float = 15.0) -> ShownKey:
 
     Nothing is recorded, and no login is tried. Jump hosts are verified as always.
     """
-    transport = SshTransport()
+    transport = _make_transport()
     try:
         key = transport.fetch_host_key(host, timeout=timeout)
         return ShownKey(host, key, *transport.judge_host_key(host, key))
@@ -56,4 +59,11 @@ def trust_host_key(shown: ShownKey) -> Path:
     """
     if shown.key is None:
         raise shown.error or HostError("showed no key", host=shown.host.name)
-    return SshTransport().trust(shown.host, shown.key)
+    return _make_transport().trust(shown.host, shown.key)
+
+
+def _make_transport() -> "SshTransport":
+    import_deferred("paramiko")
+    from edgectl.transport.ssh import SshTransport
+
+    return SshTransport()

@@ -13,7 +13,7 @@ from edgectl.names import natural_key
 from edgectl.units import format_cores, format_duration, format_rate
 from edgectl.views.describe_host import HostDetailsView
 from edgectl.views.describe_task import TaskDetailsView
-from edgectl.views.reasons import join_first_words
+from edgectl.views.notes import join_first_words
 from edgectl.views.rows import compute_task_age, find_task_demand
 from edgectl.views.sparkline import SPARKLINE_SAMPLES, render_sparkline
 from edgectl.views.state import TASK_STATE_STYLES, format_operator_mark, resolve_absent_task

@@ -18,7 +18,7 @@ from edgectl.usecases.logs import read_log
 from edgectl.usecases.plan import make_plan
 from edgectl.usecases.stop import restart_task
 from edgectl.views.explanation import ExplanationView
-from edgectl.views.plan_sections import list_unreachable_notes
+from edgectl.views.notes import list_unreachable_notes
 from edgectl.views.sparkline import SPARKLINE_SAMPLES
 from edgectl.views.text import RenderOptions, detect_render_options
 from edgectl.views.top_hosts import group_points_by_host

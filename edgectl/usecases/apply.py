@@ -4,7 +4,6 @@
 import dataclasses
 
 from edgectl.errors import StalePlanError
-from edgectl.executor.drift import list_drift
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.assignment import Reason
 from edgectl.model.manager_state import ManagerState
@@ -24,7 +23,6 @@ from edgectl.usecases.plan_execution import (
 )
 from edgectl.usecases.probe import probe_fleet
 from edgectl.usecases.record import record_plan
-from edgectl.usecases.saved_plan import list_file_conflicts, list_unsafe_steps
 
 # Window (s) of the second measurement of unattended runs: readings that vary by 10 % of a host move nothing.
 RECHECK_WINDOW_S = 5.0
@@ -68,6 +66,8 @@ def check_saved_plan(fleet: Fleet, plan: Plan) -> None:
     Raises:
         StalePlanError: it was made for other files, or does not fit them.
     """
+    from edgectl.usecases.saved_plan import list_file_conflicts
+
     conflicts = list_file_conflicts(plan, fleet.inventory, fleet.tasks)
     if conflicts:
         raise StalePlanError(conflicts)
@@ -81,6 +81,9 @@ def apply_saved_plan(fleet: Fleet, plan: Plan, options: ApplyOptions | None = No
         StalePlanError: something changed, a step is unsafe, or the plan was applied before.
         LockBusyError: another edgectl is changing this fleet.
     """
+    from edgectl.executor.drift import list_drift
+    from edgectl.usecases.saved_plan import list_file_conflicts, list_unsafe_steps
+
     options = options or ApplyOptions()
     name = compute_plan_id(plan)
     with lock_fleet(fleet, "apply", options) as held:

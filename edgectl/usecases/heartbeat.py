@@ -9,7 +9,6 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 
 from edgectl.errors import HostError, RefusedError, StateError
-from edgectl.executor import host_requests
 from edgectl.model.inventory import Host
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.task import Tasks
@@ -151,6 +150,8 @@ def _send_heartbeat(fleet: Fleet, host: Host, pause: float, over: threading.Even
 
     It waits no longer than one pause: a connection that was lost is replaced with the next heartbeat.
     """
+    from edgectl.executor import host_requests
+
     seconds, lease = min(pause, _MAX_HEARTBEAT_TIMEOUT_S), fleet.lease
     try:
         if over.is_set():

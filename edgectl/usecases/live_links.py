@@ -6,11 +6,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from edgectl.errors import StateError
-from edgectl.gateway.bandwidth import probe_idle_links
 from edgectl.model.event import Event, EventKind
 from edgectl.model.link_reading import LinkHistory, LinkObservation
 from edgectl.model.snapshot import Snapshot
-from edgectl.rules.link_turns import choose_links_to_probe, find_link_use, split_into_rounds
 from edgectl.rules.live_links import add_sample, apply_live_capacities, forget_former_readings, observe_link
 from edgectl.state.link_readings import load_link_histories, save_link_histories
 from edgectl.usecases.fleet import Fleet
@@ -47,6 +45,9 @@ def measure_live_links(
     _record_cut_links(fleet, snapshot, stored, known)
     seen = apply_live_capacities(snapshot, known, observations, snapshot.taken_at)
     if probe_idle and fleet.inventory.probe_links:
+        from edgectl.gateway.bandwidth import probe_idle_links
+        from edgectl.rules.link_turns import choose_links_to_probe, find_link_use, split_into_rounds
+
         use = find_link_use(seen, {name: task.robots for name, task in fleet.tasks.tasks.items()})
         chosen = choose_links_to_probe(fleet.inventory, seen, known, observations, snapshot.taken_at, use)
         for pairs in split_into_rounds(chosen):

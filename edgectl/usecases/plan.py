@@ -4,10 +4,10 @@
 import dataclasses
 import hashlib
 from collections.abc import Collection
+from typing import TYPE_CHECKING
 
 from edgectl.errors import UsageError
 from edgectl.executor.diff import plan_from_assignment, select_targets
-from edgectl.executor.dry_run import list_dry_run_requests
 from edgectl.formats.document import dump_line
 from edgectl.formats.kinds import PLAN_KIND
 from edgectl.gateway.host_probe import ProbeOptions
@@ -20,11 +20,13 @@ from edgectl.model.snapshot import Snapshot
 from edgectl.rules.lost_places import find_shared_machine
 from edgectl.scheduler.assign import assign
 from edgectl.scheduler.claims import describe_claims
-from edgectl.scheduler.integer_program import Solver
 from edgectl.scheduler.shortage import find_shortages
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.probe import probe_fleet
 from edgectl.usecases.record import record_plan
+
+if TYPE_CHECKING:
+    from edgectl.scheduler.integer_program import Solver
 
 
 def make_plan(
@@ -68,7 +70,7 @@ def make_plan(
     return plan_from_assignment(fleet.inventory, fleet.tasks, snapshot, manager, assignment)
 
 
-def get_solver(policy: Policy) -> Solver | None:
+def get_solver(policy: Policy) -> "Solver | None":
     """The solver for a plan under ``policy``, which has its deadline from now; None: it needs none."""
     if not policy.optimal:
         return None
@@ -126,4 +128,6 @@ def compute_plan_id(plan: Plan) -> str:
 
 def list_remote_commands(fleet: Fleet, plan: Plan) -> list[dict[str, object]]:
     """The exact remote commands of ``apply --dry-run``."""
+    from edgectl.executor.dry_run import list_dry_run_requests
+
     return list_dry_run_requests(plan, fleet.inventory, fleet.tasks)

@@ -8,10 +8,8 @@ from dataclasses import field
 
 from edgectl.dataclass import dataclass
 from edgectl.errors import StateError, UsageError
-from edgectl.executor.hold_release import release_hold
 from edgectl.executor.manager_state_update import compute_next_generations, update_manager_state
-from edgectl.executor.run import RunIdentity, RunOptions, run_plan
-from edgectl.executor.state_removal import drop_left_state
+from edgectl.executor.run_options import RunIdentity, RunOptions
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.gateway.task_lookup import find_doubled_instances
 from edgectl.model.manager_state import ManagerState
@@ -125,6 +123,9 @@ def confirm_and_execute(
         _save_manager_state(fleet, plan, manager, _NO_RESULTS, {})
         _recover_interrupted_apply(fleet, cut_off, silent)
         return ApplyResult(plan=plan)
+    # Before anything is announced. An apply that changes nothing, as most of cron do, needs none of it.
+    from edgectl.executor.run import run_plan
+
     used = compute_next_generations(
         manager, plan.snapshot, plan.steps, fleet.clock(), _list_used_generations(fleet, cut_off)
     )
@@ -265,6 +266,9 @@ def _recover_interrupted_apply(fleet: Fleet, log: JournalSummary, silent: Silent
     """
     if not log.unfinished and not log.held and not log.spooled:
         return
+    from edgectl.executor.hold_release import release_hold
+    from edgectl.executor.state_removal import drop_left_state
+
     with Journal.open(fleet.state, clock=fleet.clock, warn=fleet.warn) as journal:
         places = load_manager_state(fleet.state).placements
         for task in journal.log.held:

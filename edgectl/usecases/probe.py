@@ -3,7 +3,7 @@
 
 import dataclasses
 
-from edgectl.gateway import bandwidth, host_probe
+from edgectl.gateway import host_probe
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.link_reading import LinkObservation
 from edgectl.model.manager_state import ManagerState, Placement
@@ -145,8 +145,10 @@ def _find_start(snapshot: Snapshot, host: str, task: str) -> float:
 
 def measure_links(fleet: Fleet, *, seconds: float = 2.0) -> tuple[BandwidthMeasurement, ...]:
     """Measure the capacity of each link by sending for ``seconds``, one link at a time, and save it."""
+    from edgectl.gateway.bandwidth import measure_bandwidth
+
     with track_heartbeats(fleet) as tracked:
-        measurements = tuple(bandwidth.measure_bandwidth(fleet.inventory, tracked.transport, seconds=seconds))
+        measurements = tuple(measure_bandwidth(fleet.inventory, tracked.transport, seconds=seconds))
     known = dict(load_link_capacities(fleet.state, fleet.warn))
     known |= {
         (found.edge, found.robot): found.bytes_per_s

@@ -4,6 +4,7 @@
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from edgectl.executor.diff import diff_assignment
 from edgectl.model.assignment import Assignment, Decision, Reason, Verdict
@@ -15,7 +16,9 @@ from edgectl.model.standby_plan import StandbyAction
 from edgectl.model.task import Tasks
 from edgectl.names import natural_key
 from edgectl.scheduler.assign import assign
-from edgectl.scheduler.integer_program import Solver
+
+if TYPE_CHECKING:
+    from edgectl.scheduler.integer_program import Solver
 
 # Decisions that no load changes: held, completed, given up or unmanaged now must be so in the plan, too.
 _FIXED_VERDICTS = (Verdict.HELD, Verdict.COMPLETED)
@@ -47,7 +50,7 @@ def list_file_conflicts(plan: Plan, inventory: Inventory, tasks: Tasks) -> tuple
 
 
 def list_unsafe_steps(
-    plan: Plan, inventory: Inventory, tasks: Tasks, snapshot: Snapshot, solve: Solver | None = None
+    plan: Plan, inventory: Inventory, tasks: Tasks, snapshot: Snapshot, solve: "Solver | None" = None
 ) -> tuple[str, ...]:
     """Steps that edgectl would not plan for ``snapshot``, newer than the plan, one line each.
 

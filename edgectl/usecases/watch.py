@@ -8,6 +8,9 @@ from collections.abc import Callable, Generator, Iterator
 from dataclasses import field
 from typing import Self
 
+# A watch runs for days, and edgectl may be upgraded meanwhile: what later cycles need is imported at once.
+import edgectl.executor.run
+import edgectl.scheduler.repair  # noqa: F401
 from edgectl.dataclass import dataclass
 from edgectl.errors import CoordinationError, EdgectlError, LockBusyError, WatchedError
 from edgectl.executor.dependencies import add_dependent_starts

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """JSON, JSON Lines, YAML and CSV of a document. Pure: JSON types in, text out."""
 
-import csv
 import io
 import json
 import re
@@ -11,7 +10,8 @@ from edgectl.model.text import escape_unprintable
 
 _SIGNIFICANT_DIGITS = 6
 # Control characters beyond ASCII, those that change the direction of text or end a line, and half surrogates.
-_UNPRINTABLE = re.compile("[\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff]")
+# Compiled when a document is written: tables need none.
+_UNPRINTABLE = "[\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff]"
 
 
 def round_numbers(value: object) -> object:
@@ -52,7 +52,7 @@ def escape_json_controls(text: str) -> str:
     """JSON whose strings hold control and direction-changing characters as escapes: the same document,
     harmless on a terminal.
     """
-    return _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+    return re.sub(_UNPRINTABLE, lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def encode_yaml(document: Mapping[str, object]) -> str:
@@ -62,12 +62,14 @@ def encode_yaml(document: Mapping[str, object]) -> str:
     # Through JSON, so that both say the same and no type of Python's own gets through.
     plain = json.loads(json.dumps(document, allow_nan=False))
     dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-    printable = not _UNPRINTABLE.search(json.dumps(plain, ensure_ascii=False))
+    printable = not re.search(_UNPRINTABLE, json.dumps(plain, ensure_ascii=False))
     return str(yaml.dump(plain, Dumper=dumper, sort_keys=False, allow_unicode=printable, width=4096))
 
 
 def encode_csv(rows: Sequence[Mapping[str, object]]) -> str:
     """A line of keys, then one per row. A key within an object is joined to it by ``_``; a list is JSON."""
+    import csv
+
     flat = [flatten_row(row) for row in rows]
     keys = list(dict.fromkeys(key for row in flat for key in row))
     text = io.StringIO()

@@ -12,11 +12,12 @@ from edgectl.model.resource import RESOURCES_BY_NAME
 from edgectl.model.result import ActionResult
 from edgectl.model.task import Task
 from edgectl.views.glossary import head, list_shown_weights
+from edgectl.views.notes import join_words
 from edgectl.views.output import ItemView
 from edgectl.views.output_format import WIDE_FORMATS
 from edgectl.views.plan_sections import format_utility
 from edgectl.views.predicted_latency import encode_latencies, render_latencies
-from edgectl.views.reasons import describe_reason, join_words
+from edgectl.views.reasons import describe_reason
 from edgectl.views.results import encode_carried_state
 from edgectl.views.standbys import encode_standby_steps, explain_standbys
 from edgectl.views.taken_along import explain_taken_along

@@ -12,8 +12,8 @@ from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, TaskSample
 from edgectl.model.task import Task, Tasks
 from edgectl.units import format_duration, format_instant, format_rate
 from edgectl.views import metrics
+from edgectl.views.notes import list_snapshot_notes
 from edgectl.views.other_tasks import list_foreign_notes
-from edgectl.views.plan_sections import list_snapshot_notes
 from edgectl.views.rows import (
     compute_task_age,
     encode_absent_row,

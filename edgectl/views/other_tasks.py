@@ -8,7 +8,7 @@ from edgectl.model.snapshot import HostSample, OtherTask, Snapshot
 from edgectl.names import natural_key
 from edgectl.units import format_duration
 from edgectl.views.glossary import head
-from edgectl.views.reasons import join_first_words, join_words
+from edgectl.views.notes import join_first_words, join_words
 from edgectl.views.text import Cell, Row
 
 _HEAD = head("fleet", "started_by", "host", "task", "state", "age_s")

@@ -17,6 +17,7 @@ from edgectl.model.task import Tasks
 from edgectl.units import format_duration, format_instant
 from edgectl.views.demands import render_demands, render_reservations
 from edgectl.views.glossary import head, list_shown_weights
+from edgectl.views.notes import render_notes
 from edgectl.views.output import View
 from edgectl.views.output_format import PLAN_FORMATS
 from edgectl.views.plan_sections import (
@@ -24,7 +25,6 @@ from edgectl.views.plan_sections import (
     format_utility,
     list_plan_notes,
     render_expected_load,
-    render_notes,
     render_plan_summary,
 )
 from edgectl.views.reasons import (

@@ -2,7 +2,7 @@
 """Parts of a plan as text: header, expected load, notes and summary."""
 
 import dataclasses
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 
 from edgectl.model.assignment import ExpectedLoad, Overuse
 from edgectl.model.manager_state import ManagerState
@@ -13,25 +13,26 @@ from edgectl.model.snapshot import (
     HostSample,
     LinkSample,
     Snapshot,
-    find_doubled_tasks,
 )
 from edgectl.names import natural_key
-from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.rules.other_managers import describe_unlisted_host, list_tasks_on_unlisted_hosts
 from edgectl.rules.slack import compute_slack
 from edgectl.units import format_rate
 from edgectl.views.demands import list_demand_notes
 from edgectl.views.glossary import head_of_resource
+from edgectl.views.notes import (
+    join_first_words,
+    join_words,
+    list_lost_task_notes,
+    list_unreachable_notes,
+)
 from edgectl.views.reasons import (
     describe_pin,
     describe_reason,
     is_left_out,
     is_not_found,
-    join_first_words,
-    join_words,
 )
 from edgectl.views.standbys import count_standby_actions
-from edgectl.views.state import format_silence
 from edgectl.views.text import (
     PLAIN,
     Cell,
@@ -237,42 +238,6 @@ def list_left_alone_notes(value: Plan) -> list[str]:
     ]
 
 
-def list_unreachable_notes(value: Snapshot) -> list[str]:
-    """One line for each host that does not answer, with the remedy."""
-    contact = value.manager.contact if value.manager else {}
-    return [
-        f"{name} does not answer: {host.error or 'no cause given'}"
-        + (f" ({host.hint})" if host.hint else "")
-        + format_silence(contact.get(name), value.taken_at)
-        for name, host in value.hosts.items()
-        if not host.ok
-    ]
-
-
-def list_snapshot_notes(value: Snapshot) -> list[str]:
-    """Why an answer is not complete or not well, which costs exit code 4: tasks that run twice, hosts without
-    a reply, tasks where the inventory no longer reaches them.
-    """
-    return list_doubled_notes(value) + list_unreachable_notes(value) + list_lost_task_notes(value)
-
-
-def list_doubled_notes(value: Snapshot) -> list[str]:
-    """One line for each task that runs twice."""
-    return [
-        f"DOUBLED: {task} runs on {join_words(hosts)}; edgectl apply stops all but one"
-        for task, hosts in find_doubled_tasks(value).items()
-    ]
-
-
-def list_lost_task_notes(value: Snapshot, without: Collection[str] = ()) -> list[str]:
-    """One line for each task whose place the inventory no longer reaches, except those of ``without``."""
-    return [
-        f"{task} {describe_lost_place(place)}"
-        for task, place in list_lost_tasks(value).items()
-        if task not in without
-    ]
-
-
 def list_operator_mark_notes(value: Snapshot) -> list[str]:
     """One line for each mark of the operator with its hosts, and for each pinned task."""
     memory = value.manager or ManagerState()
@@ -285,15 +250,6 @@ def list_operator_mark_notes(value: Snapshot) -> list[str]:
     lines += [f"draining, tasks move away: {join_words(draining)} (edgectl uncordon)"] if draining else []
     lines += [f"fenced, treated as powered off: {join_words(fenced)} (edgectl unfence)"] if fenced else []
     return lines + [f"{task} is {describe_pin(memory.pins[task])} (edgectl unpin {task})" for task in pinned]
-
-
-def render_notes(lines: Iterable[str], look: RenderOptions) -> str:
-    """Each line as a note."""
-    return "".join(
-        style_text("note:", "warn", look)
-        + wrap_text(f"note: {escape_unprintable(line)}", look).removeprefix("note:")
-        for line in lines
-    )
 
 
 def render_plan_summary(value: Plan, look: RenderOptions = PLAIN) -> str:

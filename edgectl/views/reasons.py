@@ -19,11 +19,10 @@ from edgectl.model.resource import Resource
 from edgectl.rules.lost_places import describe_lost_place, get_lost_place
 from edgectl.rules.other_managers import describe_unlisted_host
 from edgectl.units import format_duration, format_instant
+from edgectl.views.notes import join_first_words, join_words
 
 # Utilities that differ by less are equal (ADR 8).
 _EQUAL = 1e-9
-# Names in a sentence.
-_MAX_NAMED = 5
 _RULE_TEXTS = {
     RejectionRule.UNREACHABLE: "unreachable",
     RejectionRule.CORDONED: "cordoned",
@@ -434,16 +433,3 @@ def _describe_other_rejections(decision: Decision) -> list[str]:
     rules.update(decision.rejection_counts)
     texts = {**_RULE_TEXTS, RejectionRule.INSUFFICIENT: "others too small"}
     return [f"{count} {texts[RejectionRule(rule)]}" for rule, count in rules.items()]
-
-
-def join_first_words(words: Iterable[str]) -> str:
-    """A list in words that names at most five: ``a, b, c, d, e and 7 more``. A host may report thousands."""
-    listed = list(words)
-    left = len(listed) - _MAX_NAMED
-    return join_words([*listed[:_MAX_NAMED], *([f"{left} more"] if left > 0 else [])])
-
-
-def join_words(words: Iterable[str]) -> str:
-    """A list in words: ``a, b and c``."""
-    *head, last = list(words) or [""]
-    return f"{', '.join(head)} and {last}" if head else last

@@ -8,7 +8,7 @@ from edgectl.model.snapshot import Snapshot, TaskSample, TaskState, find_doubled
 from edgectl.model.task import Task, Tasks
 from edgectl.rules.lost_places import describe_lost_place
 from edgectl.views.encoder import flatten_row, round_numbers
-from edgectl.views.reasons import join_words
+from edgectl.views.notes import join_words
 from edgectl.views.rows import encode_absent_row, encode_host_row, encode_run_row, find_task_demand
 from edgectl.views.state import (
     find_failed_tasks,

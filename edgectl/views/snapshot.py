@@ -16,10 +16,10 @@ from edgectl.model.snapshot import (
 )
 from edgectl.units import format_duration, format_rate
 from edgectl.views.glossary import head
+from edgectl.views.notes import list_snapshot_notes
 from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import View
 from edgectl.views.output_format import FLEET_FORMATS
-from edgectl.views.plan_sections import list_snapshot_notes
 from edgectl.views.rows import encode_host_row
 from edgectl.views.state import render_host_status
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, is_within_width, render_columns

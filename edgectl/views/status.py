@@ -15,16 +15,18 @@ from edgectl.rules.overuse import find_overuses
 from edgectl.units import format_duration
 from edgectl.views.glossary import head
 from edgectl.views.latency import RIGHT_COLUMNS, list_latency_notes, render_latency_rows
+from edgectl.views.notes import (
+    list_doubled_notes,
+    list_lost_task_notes,
+    list_snapshot_notes,
+    list_unreachable_notes,
+)
 from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import ListView
 from edgectl.views.output_format import FLEET_FORMATS
 from edgectl.views.plan_sections import (
     describe_overuse,
-    list_doubled_notes,
-    list_lost_task_notes,
     list_operator_mark_notes,
-    list_snapshot_notes,
-    list_unreachable_notes,
 )
 from edgectl.views.rows import (
     compute_task_age,

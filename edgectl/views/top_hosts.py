@@ -12,9 +12,9 @@ from edgectl.model.snapshot import HostSample, Snapshot
 from edgectl.rules.heat import describe_heat
 from edgectl.units import format_instant, format_rate
 from edgectl.views.glossary import get_flat_used_key, head
+from edgectl.views.notes import list_snapshot_notes
 from edgectl.views.output import ListView
 from edgectl.views.output_format import WIDE_FORMATS
-from edgectl.views.plan_sections import list_snapshot_notes
 from edgectl.views.rows import encode_host_row
 from edgectl.views.state import render_host_status
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row

@@ -14,9 +14,9 @@ from edgectl.names import natural_key
 from edgectl.units import format_duration, format_instant
 from edgectl.views import latency, metrics
 from edgectl.views.glossary import get_flat_used_key, head
+from edgectl.views.notes import list_snapshot_notes
 from edgectl.views.output import ListView
 from edgectl.views.output_format import WIDE_FORMATS
-from edgectl.views.plan_sections import list_snapshot_notes
 from edgectl.views.rows import compute_task_age, encode_run_row, find_task_demand
 from edgectl.views.standbys import encode_standby_row, list_standby_runs, render_standby_state
 from edgectl.views.state import TASK_STATE_STYLES, resolve_absent_task

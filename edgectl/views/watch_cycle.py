@@ -19,9 +19,9 @@ from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.rules.other_managers import describe_unlisted_host, list_tasks_on_unlisted_hosts
 from edgectl.units import format_instant
 from edgectl.views.glossary import list_shown_weights
+from edgectl.views.notes import join_words
 from edgectl.views.output import ItemView
 from edgectl.views.output_format import CYCLE_FORMATS
-from edgectl.views.reasons import join_words
 from edgectl.views.results import format_action_result
 from edgectl.views.rows import encode_host_usage
 from edgectl.views.sparkline import SPARKLINE_SAMPLES

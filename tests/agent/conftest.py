@@ -17,7 +17,8 @@ import pytest
 
 from edgectl.agent.measure import proc
 from edgectl.agent.supervise import liveness
-from edgectl.transport.agent_client import call_agent, compute_agent_hash
+from edgectl.transport.agent_archive import compute_agent_hash
+from edgectl.transport.agent_client import call_agent
 from edgectl.transport.local import LocalSession
 from tests.agent.user_systemd import UserSystemd, can_be_real, user_systemd
 from tests.pace import patience

@@ -23,6 +23,7 @@ import edgectl
 from edgectl.agent.link import boot, stub
 from edgectl.transport import agent_client as protocol
 from edgectl.transport import enter_program
+from edgectl.transport.agent_archive import build_agent_zipapp, compute_agent_hash, read_program
 from edgectl.transport.base import Reply
 from tests.agent.conftest import AgentHost
 from tests.pace import patience
@@ -73,7 +74,7 @@ class Counting:
 
 
 def kept(host: AgentHost) -> Path:
-    return host.state / "agent" / f"{protocol.compute_agent_hash()}.pyz"
+    return host.state / "agent" / f"{compute_agent_hash()}.pyz"
 
 
 def test_sent_once_then_one_small_round_trip(host: AgentHost) -> None:
@@ -81,9 +82,9 @@ def test_sent_once_then_one_small_round_trip(host: AgentHost) -> None:
     host.ask("status", task=None)
     host.ask("status", task=None)
     assert len(trips.sizes) == 3
-    assert trips.sizes[1] > len(protocol.build_agent_zipapp())
+    assert trips.sizes[1] > len(build_agent_zipapp())
     assert trips.sizes[0] == trips.sizes[2] < 8_000
-    assert hashlib.sha256(kept(host).read_bytes()).hexdigest() == protocol.compute_agent_hash()
+    assert hashlib.sha256(kept(host).read_bytes()).hexdigest() == compute_agent_hash()
 
 
 def test_changed_agent_is_never_run(host: AgentHost) -> None:
@@ -111,7 +112,7 @@ def test_directory_that_others_may_write_is_not_used(host: AgentHost, memory: Pa
     host.state.chmod(0o777)
     host.ask("status", task=None)
     assert not (host.state / "agent").exists()
-    fallback = memory / "agent" / f"{protocol.compute_agent_hash()}.pyz"
+    fallback = memory / "agent" / f"{compute_agent_hash()}.pyz"
     assert fallback.exists()
     assert stat.S_IMODE(fallback.stat().st_mode) == 0o600
 
@@ -127,7 +128,7 @@ def test_runs_from_memory_where_nothing_can_be_kept(host: AgentHost, tmp_path: P
         {"op": "probe", "fleet": "lab", "host": "edge1", "window_s": 0.05},
         "m" * 32,
         10.0,
-        protocol.build_agent_zipapp(),
+        build_agent_zipapp(),
     )
     packet = packet.removeprefix(protocol._read_boot_programs())
     done = subprocess.run(
@@ -156,7 +157,7 @@ def read_code(host: AgentHost, operation: str) -> dict[str, object]:
 def test_compiled_code_is_kept_privately(host: AgentHost) -> None:
     host.ask("status", task=None)
     host.ask("probe", window_s=0.0)
-    kept_code = list((host.state / "agent" / protocol.compute_agent_hash()).rglob("*.*"))
+    kept_code = list((host.state / "agent" / compute_agent_hash()).rglob("*.*"))
     assert {path.name.split(".")[0] for path in kept_code} == {"status", "probe"}
     assert {stat.S_IMODE(path.stat().st_mode) for path in kept_code} == {0o600}
     modules = read_code(host, "status")
@@ -169,7 +170,7 @@ def test_nothing_is_compiled_twice(host: AgentHost) -> None:
     host.ask("status", task=None)
     before = find_code(host).stat()
     run = host.session.run
-    boot_program = zlib.compress(protocol.read_program(AGENT / "link" / "boot.py"), 9)
+    boot_program = zlib.compress(read_program(AGENT / "link" / "boot.py"), 9)
     assert boot_program in protocol._read_boot_programs()
     damaged = boot_program[::-1]
 
@@ -261,14 +262,26 @@ def test_first_contacts_at_the_same_time_do_no_harm(host: AgentHost) -> None:
 
 
 def test_archive_is_a_plain_zip_and_always_the_same() -> None:
-    agent = protocol.build_agent_zipapp()
-    protocol.build_agent_zipapp.cache_clear()
-    assert protocol.build_agent_zipapp() == agent
+    agent = build_agent_zipapp()
+    build_agent_zipapp.cache_clear()
+    assert build_agent_zipapp() == agent
     with zipfile.ZipFile(BytesIO(agent)) as archive:
         names = archive.namelist()
         assert names == sorted(names)
         assert {entry.date_time for entry in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
         assert {name: archive.read(name) for name in names} == boot.read_archive(agent)
+
+
+def test_archive_is_the_one_that_the_standard_library_writes() -> None:
+    """To the byte, in the order of the names, without the pages of code that lie beside the programs."""
+    buffer = BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
+        for name, path in sorted((path.relative_to(AGENT).as_posix(), path) for path in AGENT.rglob("*.py")):
+            entry = zipfile.ZipInfo(f"edgectl_agent/{name}", date_time=(1980, 1, 1, 0, 0, 0))
+            entry.create_system = 3
+            entry.external_attr = 0o100600 << 16
+            archive.writestr(entry, read_program(path))
+    assert build_agent_zipapp() == buffer.getvalue()
 
 
 def test_packages_of_the_agent_have_no_code() -> None:

@@ -13,6 +13,7 @@ import pytest
 
 from edgectl.agent.link import boot
 from edgectl.transport import agent_client
+from edgectl.transport.agent_archive import build_agent_zipapp
 from tests.agent.conftest import AgentHost, eventually, is_running
 from tests.pace import patience
 
@@ -64,7 +65,7 @@ def ask_with_bases(host: AgentHost, bases: list[str], op: str, **fields: object)
         f"boot.boot_agent(sys.stdin.buffer, words, {bases!r}, {{}})\n"
     )
     request = {"op": op, "fleet": host.fleet, "host": host.name, **fields}
-    packet = agent_client.build_packet(request, "m" * 32, 30.0, agent_client.build_agent_zipapp())
+    packet = agent_client.build_packet(request, "m" * 32, 30.0, build_agent_zipapp())
     packet = packet.removeprefix(agent_client._read_boot_programs())
     words = [sys.executable, "-I", "-c", program]
     return subprocess.run(words, input=packet, capture_output=True, check=True, timeout=patience(60)).stdout

@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from edgectl.transport import agent_client
+from edgectl.transport.agent_archive import build_agent_zipapp
 
 RUNS = 100
 # A multiple of the bare start.
@@ -71,9 +72,7 @@ def measure_python(python: str, state: Path) -> bool:
             packet = build_packet({"instance": f"i{number}", **request})
             runs[name] = measure_cpu_s(command, packet, environment)
             if b'"missing": true' in runs[name][2]:
-                packet = build_packet(
-                    {"instance": f"i{number}", **request}, agent_client.build_agent_zipapp()
-                )
+                packet = build_packet({"instance": f"i{number}", **request}, build_agent_zipapp())
                 runs[name] = measure_cpu_s(command, packet, environment)
             assert b"edgectl-frame" in runs[name][2], runs[name][2]
         for name, (own, left, _) in runs.items():

@@ -77,3 +77,39 @@ def test_a_local_fleet_needs_no_ssh(site: Path) -> None:
         "prometheus_client",
         "textual",
     }
+
+
+COLLECTIONS = """
+import gc, sys
+from edgectl.cli.main import main
+usual = gc.get_threshold()
+def count():
+    return sum(each["collections"] for each in gc.get_stats())
+before = count()
+for _ in range(2):
+    main(["plan", "--snapshot", "snap.json"])
+print(count() - before, len(gc.callbacks), file=sys.stderr)
+kept = [[] for _ in range(300_000)]
+print(count() > before, gc.get_threshold() == usual, len(gc.callbacks), file=sys.stderr)
+gc.disable()
+main(["version"])
+print(gc.isenabled(), file=sys.stderr)
+"""
+
+
+def test_no_garbage_is_collected_during_a_start_and_it_is_afterwards(site: Path) -> None:
+    command = [sys.executable, "-c", COLLECTIONS]
+    done = subprocess.run(command, cwd=site, capture_output=True, text=True, check=True)
+    assert done.stderr.split()[-6:] == ["0", "1", "True", "True", "0", "False"]
+
+
+def test_no_garbage_is_looked_for_at_the_end() -> None:
+    source = (
+        "import atexit, gc, sys\n"
+        "from edgectl.cli.main import run\n"
+        "atexit.register(lambda: print(gc.get_freeze_count() > 10_000))\n"
+        "sys.argv = ['edgectl', 'plan', '--no-such-option']\n"
+        "run()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (64, "True\n")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What commands import and compile before they do anything: bounded by count, since times differ by machine.
+"""What commands import, compile, start and ask: bounded by count, since times differ by machine.
 
 A bound that is missed has a reason in the change at hand: a module that moved, or an import for a rare case, which
 belongs into the function that needs it. Raise a bound only for what the command itself needs.
@@ -17,22 +17,34 @@ import pytest
 
 from tests.sshd import running_lab
 
-# Runs edgectl, and writes down its modules and how many texts were compiled, such as methods of dataclasses.
+# Runs edgectl, and writes down its modules, how many texts were compiled, such as methods of dataclasses, and how many
+# connections were opened and processes started.
 PROGRAM = """
 import json, os, sys
-compiled = []
-sys.addaudithook(lambda event, args: compiled.append(1) if event == "compile" and args[1] in (None, "<string>") else None)
+counts = {"compiled": 0, "connections": 0, "processes": 0}
+def listen(event, args):
+    if event == "compile" and args[1] in (None, "<string>"):
+        counts["compiled"] += 1
+    elif event == "socket.connect" and isinstance(args[1], tuple):
+        counts["connections"] += 1
+    elif event == "subprocess.Popen":
+        counts["processes"] += 1
+sys.addaudithook(listen)
 from edgectl.cli.main import main
 code = main()
 modules = sorted(sys.modules)
 with open(os.environ["STARTUP_REPORT"], "w") as report:
-    json.dump({"code": code, "modules": modules, "compiled": len(compiled)}, report)
+    json.dump({"code": code, "modules": modules, **counts}, report)
 """
 # Never on the way of one of these commands.
 NOT_WANTED = {
     "unittest.mock",
     "invoke.vendor.yaml",
     "importlib.metadata",
+    "fabric",
+    "invoke",
+    "zipfile",
+    "platform",
     "decimal",
     "asyncio",
     "ssl",
@@ -51,17 +63,20 @@ NOT_WANTED = {
     "edgectl.doctor",
     "edgectl.scaffold",
 }
-SSH = {"fabric", "invoke", "paramiko", "cryptography", "nacl"}
+SSH = {"paramiko", "cryptography", "nacl"}
 PLANNING = {"edgectl.scheduler.assign", "edgectl.executor.diff"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Start:
-    """What one command imported and compiled."""
+    """What one command imported, compiled and started, and its requests to the host in their order."""
 
     code: int
     modules: set[str]
     compiled: int
+    connections: int
+    processes: int
+    requests: list[str]
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +105,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict
 
 def start(folder: Path, env: dict[str, str], *words: str) -> Start:
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, *words],
+        [sys.executable, "-c", PROGRAM, *words, "-v", "--log-format", "json"],
         cwd=folder,
         env=env,
         capture_output=True,
@@ -99,20 +114,22 @@ def start(folder: Path, env: dict[str, str], *words: str) -> Start:
     )
     assert done.returncode == 0, done.stderr
     report = json.loads(Path(env["STARTUP_REPORT"]).read_text())
-    return Start(code=report["code"], modules=set(report["modules"]), compiled=report["compiled"])
+    said = [json.loads(line) for line in done.stderr.splitlines() if line.startswith('{"at"')]
+    requests = [event["operation"] for event in said if "operation" in event]
+    return Start(**{**report, "modules": set(report["modules"]), "requests": requests})
 
 
 @pytest.mark.parametrize(
     ("words", "most_modules", "most_compiled", "foreign"),
     [
-        (("--help",), 165, 40, SSH | PLANNING),
-        (("validate",), 298, 85, SSH | PLANNING),
-        (("plan", "--snapshot", "snap.json"), 444, 175, SSH),
-        (("probe", "--window", "0"), 556, 170, PLANNING | {"edgectl.views.results"}),
-        (("plan",), 631, 240, set()),
-        (("apply", "-y"), 662, 260, set()),
-        (("status",), 627, 235, set()),
-        (("logs", "beat"), 506, 165, PLANNING),
+        (("--help",), 154, 30, SSH | PLANNING),
+        (("validate",), 293, 36, SSH | PLANNING),
+        (("plan", "--snapshot", "snap.json"), 432, 71, SSH),
+        (("probe", "--window", "0"), 503, 50, PLANNING | {"edgectl.views.results", "edgectl.views.reasons"}),
+        (("plan",), 570, 80, set()),
+        (("apply", "-y"), 611, 86, set()),
+        (("status",), 568, 79, set()),
+        (("logs", "beat"), 452, 44, PLANNING),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )
@@ -126,6 +143,26 @@ def test_a_command_imports_and_compiles_no_more_than(
     if words[0] == "logs":
         start(*fleet, "apply", "-y")  # the order of the cases is not given
     seen = start(*fleet, *words)
-    assert not seen.modules & (NOT_WANTED | foreign)
+    assert sorted(seen.modules & (NOT_WANTED | foreign)) == []
     assert len(seen.modules) <= most_modules
     assert seen.compiled <= most_compiled
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        (("validate",), []),
+        (("plan", "--snapshot", "snap.json"), []),
+        (("probe", "--window", "0"), ["login", "probe"]),
+        (("plan",), ["login", "probe"]),
+        (("status",), ["login", "probe"]),
+    ],
+    ids=lambda value: value[0] if value and isinstance(value, tuple) else "",
+)
+def test_a_command_asks_each_host_once(
+    fleet: tuple[Path, dict[str, str]], words: tuple[str, ...], wanted: list[str]
+) -> None:
+    """Over one connection, and with one process per name: ssh says what its configuration makes of host and robot."""
+    seen = start(*fleet, *words)
+    assert seen.requests == wanted
+    assert (seen.connections, seen.processes) == ((1, 2) if wanted else (0, 0))

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every source file names its licence; what is sent to hosts does not."""
 
-from edgectl.transport.agent_client import build_agent_zipapp, build_packet
+from edgectl.transport.agent_archive import build_agent_zipapp
+from edgectl.transport.agent_client import build_packet
 from tests.docs.spdx import ROOT, has_line, list_sources
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from edgectl.errors import HostError
 from edgectl.executor.cancellation import INTERRUPTED, Cancellation
-from edgectl.executor.step_run import RunOptions
+from edgectl.executor.run_options import RunOptions
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.state.journal import Journal

@@ -18,7 +18,7 @@ from edgectl.model.result import Results
 from edgectl.model.snapshot import DeviceSample, HostSample, Snapshot
 from edgectl.rules.lost_places import find_shared_machine, list_fence_marks
 from edgectl.scheduler.assign import assign
-from edgectl.views.plan_sections import list_lost_task_notes
+from edgectl.views.notes import list_lost_task_notes
 from edgectl.views.reasons import describe_reason
 from tests.builders import NOW, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
 from tests.e2e.bench import a_slice

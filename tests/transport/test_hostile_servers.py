@@ -24,7 +24,8 @@ from edgectl.gateway.fanout import ask_all
 from edgectl.model.inventory import Host, Role
 from edgectl.transport.connections import SessionPool
 from edgectl.transport.sockets import MAX_LOGIN_BYTES, Allowance, TunedSocket
-from edgectl.transport.ssh import SshTransport, _BoundedTransport
+from edgectl.transport.ssh import SshTransport
+from edgectl.transport.ssh_client import BoundedTransport
 from tests.hostile_sshd import ATTACKS
 from tests.pace import patience
 from tests.sshd import get_first_address, make_key
@@ -136,7 +137,7 @@ def test_a_server_that_renews_its_keys_without_end_is_cut() -> None:
     ours, theirs = socket.socketpair()
     line, renewed = TunedSocket(fileno=ours.detach()), 0
     with theirs, line:
-        transport: Any = _BoundedTransport(line)
+        transport: Any = BoundedTransport(line)
         line.allowance.renew(1 << 21)
         while not line.allowance.is_spent():
             with pytest.raises(paramiko.SSHException):
@@ -150,7 +151,7 @@ def test_no_keepalive_is_sent_while_keys_are_exchanged() -> None:
     ours, theirs = socket.socketpair()
     line = TunedSocket(fileno=ours.detach())
     with theirs, line:
-        transport: Any = _BoundedTransport(line)
+        transport: Any = BoundedTransport(line)
         transport.active = True
         transport.run = lambda: transport.global_request("keepalive@lag.net", wait=False)
         transport.start()

@@ -10,14 +10,17 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from edgectl.errors import ConnectError, HostError
 from edgectl.transport import ssh
+from edgectl.transport.host_keys import HostKeyVerifier
 from edgectl.transport.sockets import TunnelLine, connect_tcp, watchdog
 from edgectl.transport.ssh import SshTransport
 from edgectl.transport.ssh_auth import LoginStrategy
+from edgectl.transport.ssh_client import prepare_jump_client
 from edgectl.transport.ssh_config import SshConfigResolver
 from tests.pace import patience
 from tests.relay import count_callers, run_mute_server
@@ -83,7 +86,7 @@ def test_closing_wakes_who_waits(lab: Lab) -> None:
 
 def test_no_file_of_fabric_is_executed_or_read(lab: Lab, tmp_path: Path) -> None:
     """A poisoned home and working directory, in a process of its own because Fabric reads configuration at
-    import.
+    import. It is imported for the jump host, and only for that.
     """
     poison = "import pathlib; pathlib.Path(__file__).with_name('canary').touch()\nuser = 'somebody-else'\nload_ssh_configs = True\n"
     home = tmp_path / "home"
@@ -96,7 +99,10 @@ def test_no_file_of_fabric_is_executed_or_read(lab: Lab, tmp_path: Path) -> None
     script = (
         "import sys; sys.path = [p for p in sys.path if p not in ('', '.')]\n"
         "from edgectl.transport.ssh import SshTransport; from edgectl.model.inventory import Host, Role\n"
-        "with SshTransport().connect(Host(name='edge1', role=Role.EDGE, host='edge1'), timeout=10) as s: print(s.run('echo in', b'', timeout=20).stdout)"
+        "for options in ({}, {'proxy_jump': 'robot1'}):\n"
+        "    host = Host(name='edge1', role=Role.EDGE, host='edge1', **options)\n"
+        "    with SshTransport().connect(host, timeout=30) as session:\n"
+        "        print('fabric' in sys.modules, session.run('echo in', b'', timeout=20).stdout)\n"
     )
     root = Path(__file__).parents[2]
     env = {"PATH": os.environ["PATH"], "HOME": str(home), "PYTHONPATH": str(root), **lab.environment}
@@ -109,7 +115,7 @@ def test_no_file_of_fabric_is_executed_or_read(lab: Lab, tmp_path: Path) -> None
         timeout=patience(60),
         check=False,
     )
-    assert ran.stdout == "b'in\\n'\n", ran.stderr
+    assert ran.stdout == "False b'in\\n'\nTrue b'in\\n'\n", ran.stderr
     assert not list(home.rglob("canary"))
 
 
@@ -193,15 +199,18 @@ def test_a_second_key_type_is_no_change(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_connections_are_made_in_many_threads(lab: Lab) -> None:
     """One connection clears a Config of Fabric that another shares and reads."""
-    transport, login = SshTransport(), LoginStrategy("me", ())
+    verifier, login = HostKeyVerifier(), LoginStrategy("me", ())
     resolved = SshConfigResolver().resolve(lab.host("edge1"))
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)
+
+    def make(_: int) -> str:
+        opens: Any = prepare_jump_client(resolved, verifier, TunnelLine(None), login).open
+        return str(opens.__self__.user)
+
     try:
         with ThreadPoolExecutor(8) as pool:
-            made = list(
-                pool.map(lambda _: transport._fabric(resolved, TunnelLine(None), login).user, range(400))
-            )
+            made = list(pool.map(make, range(400)))
     finally:
         sys.setswitchinterval(interval)
     assert set(made) == {resolved.user}

@@ -14,9 +14,9 @@ from edgectl.model.plan import Plan
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Tasks
 from edgectl.scheduler.assign import assign
+from edgectl.views.notes import render_notes
 from edgectl.views.output import View, render_view
 from edgectl.views.output_format import OutputFormat
-from edgectl.views.plan_sections import render_notes
 from edgectl.views.text import PLAIN, RenderOptions
 
 ROOT = Path(__file__).parents[2]

@@ -15,7 +15,8 @@ from edgectl.model.assignment import (
 )
 from edgectl.model.plan import Action, Step
 from edgectl.model.resource import CPU, NETWORK
-from edgectl.views.reasons import describe_fitting_hosts, describe_reason, describe_rejection, join_words
+from edgectl.views.notes import join_words
+from edgectl.views.reasons import describe_fitting_hosts, describe_reason, describe_rejection
 
 NO_TERMS = UtilityTerms(cpu=None, memory=None, network=None, task=None)
 
