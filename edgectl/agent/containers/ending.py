@@ -7,13 +7,14 @@ task's own directory in a label is ever removed.
 """
 
 import os
+import time
 
 from ..link.fast_json import Document
 from ..measure import proc
 from ..supervise import liveness, signals
 from . import create, engine, record
 
-_REMOVE_S = 30.0
+_REMOVE_S, _AGAIN_S = 30.0, 0.2
 _KILL = signals.parse_signal("KILL")
 
 
@@ -28,13 +29,13 @@ def signal_step(
     `signals.send_signals`.
 
     What follows the container from outside ends with it; it is killed in the last step, or where it waits for
-    an engine that is gone.
+    an engine that is gone, or for a swarm to start the container.
     """
     found = record.read_container(folder)
     inside = record.find_processes_by_id(str(found.get("id") or ""), table) & left
     done: "set[tuple[int, int, int]]" = set()
     if not inside:
-        if number != _KILL and not found.get("lost"):
+        if number != _KILL and not (found.get("lost") or found.get("pending")):
             return done
         return signals.send_signals([(pid, table[pid].ticks) for pid in sorted(left)], _KILL, sent)
     # Once for each signal, and again only to what the engine could not be asked for.
@@ -60,10 +61,18 @@ def remove_containers(folder: str, program: str = "") -> str:
 
     The caller has seen that no process is left, or keeps the lock of the task.
     """
-    program = program or str(record.read_container(folder).get("program") or "")
+    found = record.read_container(folder)
+    program = program or str(found.get("program") or "")
     if not program:
         return ""
-    for _ in range(3):
+    if found.get("place"):
+        from .swarm import remove_service
+
+        why = remove_service(folder)
+        if why:
+            return why
+    deadline = time.monotonic() + _REMOVE_S
+    while True:
         ids, call = list_containers(program, folder)
         if call.kind == engine.LOST and call.refused:
             # Nothing listens: what is dead starts nothing, and what comes back restarts no container of ours.
@@ -73,7 +82,11 @@ def remove_containers(folder: str, program: str = "") -> str:
         if not ids:
             return ""
         last = engine.call_engine([program, "rm", "--force", "--volumes", *ids], _REMOVE_S)
-    return last.why or "the container is still there"
+        if time.monotonic() > deadline:
+            return last.why or "the container is still there"
+        if last.kind != engine.DONE:
+            # A swarm removes the container of its service itself.
+            time.sleep(_AGAIN_S)
 
 
 def list_containers(program: str, folder: str) -> "tuple[list[str], engine.EngineCall]":
@@ -85,6 +98,11 @@ def list_containers(program: str, folder: str) -> "tuple[list[str], engine.Engin
 
 def end_followers(folder: str) -> None:
     """Kill what follows the container of an orphan from outside; its new supervisor follows it anew."""
+    known = record.read_container(folder)
+    if known.get("pending"):
+        # A swarm may have started it since; else it would pass for what follows it.
+        ids = list_containers(str(known["program"]), folder)[0]
+        record.write_container(folder, dict(known, id=ids[0] if ids else ""), durable=True)
     table = proc.read_process_table()
     found = liveness.find_orphans(liveness.read_instance(folder), table)
     outside = found - record.find_container_processes(folder, table)

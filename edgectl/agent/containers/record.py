@@ -23,8 +23,15 @@ def has_container(folder: str) -> bool:
 def read_container(folder: str) -> Document:
     """Read the record: ``id``, ``name`` and ``program`` of the engine; ``pid`` and ``ticks`` of its first
     process once it was started; ``lost`` while the engine does not answer. Empty without a container.
+
+    Of a service of a swarm: its ``place`` until it is removed, and ``pending`` while it may start.
     """
     return records.read_record(os.path.join(folder, FILE_NAME))
+
+
+def may_start(folder: str) -> bool:
+    """Whether a swarm was asked for the container and may start it, although nothing of it is seen yet."""
+    return bool(read_container(folder).get("pending"))
 
 
 def write_container(folder: str, document: Document, *, durable: bool = False) -> None:
