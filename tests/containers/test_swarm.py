@@ -4,6 +4,7 @@
 Each host asks the manager for its own tasks; the proof that one runs or has ended is that of its own engine.
 """
 
+import contextlib
 import json
 import os
 import signal
@@ -216,6 +217,28 @@ def test_without_a_manager_a_task_runs_on_and_its_stop_is_proven(swarm: Swarm, s
     assert swarm.list_services() == [NAME]
     host.start("slam", TICKS, instance="i3", generation=3)
     check_stops(host, swarm)
+
+
+def test_a_request_that_the_managers_agree_on_later_starts_one_container(
+    tmp_path_factory: pytest.TempPathFactory, state: Path
+) -> None:
+    """Of two managers one is lost: the other takes the request, and both agree on it once there are two again."""
+    with swarm_of(tmp_path_factory.mktemp("swarm"), ["zeta", "mid", "alpha"], managers=2) as swarm:
+        host = a_host(swarm, "alpha", state)
+        swarm.nodes["mid"].engine.kill()
+        # Refused where the managers have noticed already.
+        with contextlib.suppress(RefusedError):
+            ask_for(host, "start", TICKS, 1)
+        may_start = bool(read_container(str(host.folder("slam"))).get("pending"))
+        assert ((host.entry("slam") or {}).get("state") == "starting") == may_start
+        swarm.nodes["mid"].engine.start()
+        eventually(lambda: swarm.manager.request("GET", "/services")[0] == 200, seconds=60.0)
+        eventually(lambda: swarm.get_state("alpha") == "ready", seconds=60.0)
+        if not may_start:
+            ask_for(host, "start", TICKS, 2)
+        until_running(host, seconds=120.0)
+        assert (len(host.node.list_running()), swarm.list_services()) == (1, [NAME])
+        check_stops(host, swarm)
 
 
 def test_the_engine_of_its_node_is_killed(swarm: Swarm, state: Path) -> None:

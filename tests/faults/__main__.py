@@ -44,6 +44,9 @@ def main() -> int:
     parser.add_argument(
         "--connection", choices=["ssh", "openssh"], default="ssh", help="connection of edgectl to the hosts"
     )
+    parser.add_argument(
+        "--swarm", action="store_true", help="containers are services of a Docker Swarm of the hosts"
+    )
     parser.add_argument("--code", type=Path, help="directory of another edgectl package to test")
     options = parser.parse_args()
     with ThreadPoolExecutor(options.jobs) as pool:
@@ -62,7 +65,8 @@ def list_cases(options: argparse.Namespace) -> list[tuple[Fault, str, int]]:
     wanted = [
         (each, kind)
         for each, kind in every
-        if (options.only in each.name or options.only == kind) and kind == (options.hosts or kind)
+        if (options.only in each.name or options.only == kind)
+        and kind == ("containers" if options.swarm else options.hosts or kind)
     ]
     return [
         (each, kind, options.times or (1 if options.quick else get_full(each, kind))) for each, kind in wanted
@@ -86,6 +90,7 @@ def run_case(each: Fault, kind: str, times: int, options: argparse.Namespace) ->
             connection=options.connection,
             sample=options.quick,
             points=1 if options.quick else options.points,
+            swarm=options.swarm,
         ),
         exactly=options.injection,
         report=print_progress,

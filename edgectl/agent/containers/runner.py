@@ -45,6 +45,7 @@ class ContainerRunner:
     # What is waited for while the container does not run; empty: the engine of this host. How long between
     # two looks at it.
     STARTER, RETRY_S = "", 1.0
+    LOST_HINT = "start the engine there, or allow other hosts"
 
     def __init__(self, folder: str, identity: Document, spec: Document, notes: int) -> None:
         """``notes``: a pipe to the supervisor."""
@@ -91,7 +92,7 @@ class ContainerRunner:
         except EngineLostError as error:
             if patient or not self._is_taken_back():
                 return False
-            raise StartError(str(error), "start the engine there, or allow other hosts") from None
+            raise StartError(str(error), self.LOST_HINT) from None
         except StartError:
             if not self._is_taken_back():
                 return False

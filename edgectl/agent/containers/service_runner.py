@@ -17,7 +17,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Callable, Sequence
 
-# Between two looks for the container: it mostly runs within half a second. Between two questions for its fault.
+# Between two looks for the container, which mostly runs within half a second, and questions for its fault.
 _LOOK_S, _LATER_S, _ASK_S = 0.2, 1.0, 2.0
 
 
@@ -26,6 +26,7 @@ class ServiceRunner(ContainerRunner):
 
     # Each look takes several calls.
     STARTER, RETRY_S = "the swarm", 5.0
+    LOST_HINT = "edgectl doctor names what is missing there; or allow other hosts"
 
     def __init__(self, folder: str, identity: Document, spec: Document, notes: int, lock: int) -> None:
         """``lock`` of the task: what asks the swarm holds it, too."""
@@ -92,6 +93,7 @@ class ServiceRunner(ContainerRunner):
             instance=self._identity["instance"],
             managers=self._managers,
             place=place,
+            service=self._name,
             services=list(services),
             asked=round(proc.read_uptime_s(), 2),
             boot_id=proc.read_boot_id(),
@@ -118,7 +120,7 @@ class ServiceRunner(ContainerRunner):
 
     def _explain_refusal(self, why: str) -> "tuple[str, str]":
         """Why there is no service, and what helps."""
-        if "name conflicts" in why or "already exists" in why.lower():
+        if swarm.is_name_taken(why):
             message = "a service %s exists that is not of this task; it was not touched" % self._name
             return message, "rename or remove it"
         return super()._explain_refusal(why)

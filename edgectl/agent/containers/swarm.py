@@ -23,7 +23,7 @@ CREATE_S = 30.0
 _ANSWER_S = 21.0
 _REMOVE_S, _TASKS_S, _POLL_S, _DESCRIBE_S = 25.0, 20.0, 0.3, 4.0
 _NO_ANSWER = (
-    *("not a swarm manager", "does not have a leader", "deadline", "unavailable", "timeout", "timed out"),
+    *("not a swarm manager", "leader", "deadline", "unavailable", "timeout", "timed out"),
     *("unable to resolve docker endpoint", "permission denied"),
 )
 _NO_MANAGER = "no manager of the swarm answers"
@@ -96,6 +96,11 @@ def list_services(
     return call.out.split() if call.kind == engine.DONE else [], call
 
 
+def is_name_taken(why: str) -> bool:
+    """Whether a service could not be created because there is one of its name."""
+    return "name conflicts" in why or "already exists" in why.lower()
+
+
 def find_fault(program: str, managers: "Sequence[str]", name: str) -> str:
     """Find why the swarm does not start the service; empty while it may start still."""
     words = ["service", "ps", "--no-trunc", "--format", "{{.CurrentState}}|{{.Error}}", name]
@@ -121,9 +126,11 @@ def remove_service(folder: str) -> str:
     found = record.read_container(folder)
     if not found.get("place"):
         return ""
-    _await_answer(found)
     program, managers = str(found["program"]), [str(each) for each in found["managers"]]
+    _await_answer(found)
     ids, call = list_services(program, managers, str(found["place"]))
+    if found.get("pending") and call.kind == engine.DONE and not ids:
+        ids, call = _list_for_sure(found, managers)
     known = sorted({*ids, *(found.get("services") or [])})
     if ids:
         found = dict(found, services=known)
@@ -138,6 +145,22 @@ def remove_service(folder: str) -> str:
         return ""
     record.write_container(folder, dict(found, place="", services=[], pending=False), durable=True)
     return ""
+
+
+def _list_for_sure(found: Document, managers: "Sequence[str]") -> "tuple[list[str], engine.EngineCall]":
+    """List the services as the quorum of the managers has them, one without a container among them.
+
+    A manager that has lost the others may not know of a service, or have one in its log that is agreed on
+    later. So a service of the same name is created first, which only a quorum can, and of which there is only
+    one.
+    """
+    words = ["service", "create", "--detach", "--quiet", "--no-resolve-image", "--replicas", "0"]
+    words += ["--name", str(found["service"]), "--label", "%s=%s" % (service.PLACE_LABEL, found["place"])]
+    call = call_managers(str(found["program"]), managers, [*words, str(found["image"])], CREATE_S)
+    # Where a service has the name, that is this task's, which is listed now, or a foreign one.
+    if call.kind != engine.DONE and not is_name_taken(call.why):
+        return [], engine.EngineCall(engine.LOST, "", call.why)
+    return list_services(str(found["program"]), managers, str(found["place"]))
 
 
 def _has_left(program: str, place: str) -> bool:
