@@ -76,7 +76,7 @@ class ServiceRunner(ContainerRunner):
         keep = (self._lock,) if self._lock >= 0 else ()
         # A worker would answer that there is no such network.
         managers = self._managers if is_manager else self._managers[1:]
-        call = swarm.call_managers(self._program, managers, words, swarm.CREATE_S, self._env, keep)
+        call = swarm.call_managers(self._program, managers, words, swarm.REQUEST_S, self._env, keep)
         if self._check(call).kind != engine.DONE:
             self._write(asked=0.0)  # it was answered
             raise StartError(*self._explain_refusal(call.why))

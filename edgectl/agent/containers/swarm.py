@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from typing import Mapping, Sequence
 
 # A manager gives up a request after 20 s, even if nobody waits for its answer any more.
-CREATE_S = 30.0
+REQUEST_S = 30.0
 _ANSWER_S = 21.0
 _REMOVE_S, _TASKS_S, _POLL_S, _DESCRIBE_S = 25.0, 20.0, 0.3, 4.0
 _NO_ANSWER = (
@@ -156,7 +156,7 @@ def _list_for_sure(found: Document, managers: "Sequence[str]") -> "tuple[list[st
     """
     words = ["service", "create", "--detach", "--quiet", "--no-resolve-image", "--replicas", "0"]
     words += ["--name", str(found["service"]), "--label", "%s=%s" % (service.PLACE_LABEL, found["place"])]
-    call = call_managers(str(found["program"]), managers, [*words, str(found["image"])], CREATE_S)
+    call = call_managers(str(found["program"]), managers, [*words, str(found["image"])], REQUEST_S)
     # Where a service has the name, that is this task's, which is listed now, or a foreign one.
     if call.kind != engine.DONE and not is_name_taken(call.why):
         return [], engine.EngineCall(engine.LOST, "", call.why)
