@@ -112,7 +112,9 @@ def test_a_service_runs_on_the_node_of_its_host_and_nowhere_else(shared: Swarm, 
     assert ("pending", False) in record.items()
     text = eventually(lambda: host.ask("logs", task="slam", tail=1000)["text"])
     assert text.startswith("in {{y}}, {{x}} at /tmp\n")
-    used = host.ask("probe", window_s=1.0)["tasks"]["slam"]
+    probe = host.ask("probe", window_s=1.0, engines=True, swarm=True)
+    assert probe["engines"][:1] + probe["engines"][-1:] == ["docker", "swarm"]
+    used = probe["tasks"]["slam"]
     assert used["used_cores"] > 0.0
     assert 0 < used["used_bytes"] < 50_000_000
     assert host.start("slam", TICKS, instance="i2", generation=2)["state"] == "already-running"

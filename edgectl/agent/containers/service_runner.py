@@ -131,7 +131,7 @@ class ServiceRunner(ContainerRunner):
         pause_s = _LOOK_S
         while not self._look():
             if time.monotonic() > next_ask:
-                fault = swarm.find_fault(self._program, self._managers, self._name)
+                fault = swarm.find_service_fault(self._program, self._managers, self._name)
                 if fault:
                     raise StartError(fault[:300], "check command, user and volumes of the task")
                 next_ask, pause_s = time.monotonic() + _ASK_S, _LATER_S

@@ -101,7 +101,7 @@ def is_name_taken(why: str) -> bool:
     return "name conflicts" in why or "already exists" in why.lower()
 
 
-def find_fault(program: str, managers: "Sequence[str]", name: str) -> str:
+def find_service_fault(program: str, managers: "Sequence[str]", name: str) -> str:
     """Find why the swarm does not start the service; empty while it may start still."""
     words = ["service", "ps", "--no-trunc", "--format", "{{.CurrentState}}|{{.Error}}", name]
     call = call_managers(program, managers, words)
