@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 # A manager gives up a request after 20 s, even if nobody waits for its answer any more.
 REQUEST_S = 30.0
 _ANSWER_S = 21.0
-_REMOVE_S, _TASKS_S, _POLL_S, _DESCRIBE_S = 25.0, 20.0, 0.3, 4.0
+_REMOVE_S, _TASKS_S, _POLL_S, _DESCRIBE_S = 25.0, 20.0, 0.3, 8.0
 _NO_ANSWER = (
     *("not a swarm manager", "leader", "deadline", "unavailable", "timeout", "timed out"),
     *("unable to resolve docker endpoint", "permission denied"),
