@@ -6,6 +6,7 @@ was seen running, or a manager has removed the service. Who may restart is the s
 service.
 """
 
+import os
 import time
 
 from ..link.fast_json import Document
@@ -87,6 +88,7 @@ class ServiceRunner(ContainerRunner):
         self._found = {name: self._found[name] for name in ("lost", "alive") if name in self._found}
         self._write(
             id="",
+            run=os.urandom(6).hex(),
             program=self._program,
             name="",
             image=self._spec["image"]["name"],
