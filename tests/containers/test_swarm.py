@@ -21,6 +21,7 @@ from edgectl.errors import RefusedError
 from tests.agent.conftest import a_spec, eventually, is_running
 from tests.containers.docker_engine import IMAGE
 from tests.containers.swarm_nodes import CONTEXT, Swarm, SwarmHost, swarm_of
+from tests.containers.test_removal import probe_as_manager
 
 NAME = "edgectl-lab-alpha-slam"
 TICKS = "while :; do echo tick; sleep 0.1; done"
@@ -215,8 +216,10 @@ def test_without_a_manager_a_task_runs_on_and_its_stop_is_proven(swarm: Swarm, s
     eventually(lambda: swarm.get_state("alpha") == "ready", seconds=60.0)
     time.sleep(5.0)  # as long as a swarm would take to start it
     assert host.node.engine.list_containers() == []
-    # What could not be removed then is removed now.
+    # What could not be removed then is removed beside the next command that changes the fleet.
     assert swarm.list_services() == [NAME]
+    probe_as_manager(host)
+    eventually(lambda: swarm.list_services() == [])
     host.start("slam", TICKS, instance="i3", generation=3)
     check_stops(host, swarm)
 
