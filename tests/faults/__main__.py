@@ -32,7 +32,7 @@ def main() -> int:
         "--only",
         default="",
         metavar="TEXT",
-        help="run faults whose name, or kind of host, contains this text",
+        help="run faults whose name contains this text, or whose kind of host or module (noise, link) it is",
     )
     parser.add_argument(
         "--hosts",
@@ -105,12 +105,17 @@ def list_cases(options: argparse.Namespace) -> list[Case]:
     wanted = [
         (each, kind)
         for each, kind in every
-        if (options.only in each.name or options.only == kind)
+        if (options.only in each.name or options.only in (kind, get_module(each)))
         and kind == ("containers" if options.swarm else options.hosts or kind)
     ]
     return [
         (each, kind, options.times or (1 if options.quick else get_full(each, kind))) for each, kind in wanted
     ]
+
+
+def get_module(each: Fault) -> str:
+    """``noise`` of a fault in faults_noise.py."""
+    return each.inject.__module__.rpartition("faults_")[2]
 
 
 def get_full(each: Fault, kind: str) -> int:
