@@ -24,6 +24,18 @@ _OWN_OPTIONS = (
     *("name", "cidfile", "rm", "restart", "init", "log-driver", "pull", "detach-keys", "stop-signal"),
     *("d", "detach", "i", "interactive", "t", "tty", "cgroupns", "cgroup-parent", "pid"),
 )
+# Those of a service, besides.
+_OWN_SERVICE_OPTIONS = (
+    *("mode", "replicas", "replicas-max-per-node", "constraint", "placement-pref", "q", "quiet"),
+    *("restart-condition", "restart-delay", "restart-max-attempts", "restart-window"),
+    *("log-opt", "no-healthcheck", "no-resolve-image"),
+)
+# Options of a container that a service does not know.
+_CONTAINER_OPTIONS = (
+    *("privileged", "device", "device-cgroup-rule", "gpus", "ipc", "shm-size", "security-opt"),
+    *("v", "volume", "volumes-from", "m", "memory", "cpus", "p", "add-host", "runtime"),
+)
+_NEEDS_DOCKER = "write engine: docker"
 
 
 def _text_reader(pattern: str, what: str, hint: str) -> NodeReader:
@@ -79,9 +91,50 @@ def _read_option(node: Node, problems: Problems) -> Any:  # noqa: ANN401
 def read_image(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     """The image of a task: its name, or a mapping."""
     if isinstance(node.value, dict):
-        return record_reader(IMAGE_KEYS, ContainerImage, "image", ("name",))(node, problems)
+        image = record_reader(IMAGE_KEYS, ContainerImage, "image", ("name",))(node, problems)
+        if isinstance(image, ContainerImage) and image.engine is ContainerEngine.SWARM:
+            _check_service(node.value, image, problems)
+        return image
     name = read_reference(node, problems)
     return name if name is INVALID else ContainerImage(name=name)
+
+
+def _check_service(nodes: Mapping[str, Node], image: ContainerImage, problems: Problems) -> None:
+    """What a service of a swarm cannot have of its host."""
+
+    def report(node: Node, message: str, hint: str) -> None:
+        problems.add(node.mark, ProblemCode.CONTRADICTION, message, hint)
+
+    if image.devices:
+        report(nodes["devices"], "a service of a swarm has no devices", f"remove devices, or {_NEEDS_DOCKER}")
+    if image.gpus is not None:
+        hint = f'{_NEEDS_DOCKER}, or remove gpus and write args: ["--generic-resource=gpu=1"]'
+        report(nodes["gpus"], "a service of a swarm has no gpus", hint)
+    if image.ipc not in ("host", "private"):
+        message = "a service of a swarm has shared memory of its own, or that of the host"
+        report(nodes["ipc"], message, "write ipc: host, or private")
+    for inner in _list_inner(nodes.get("volumes")):
+        if str(inner.value).split(":")[2:] not in ([], ["ro"], ["rw"]):
+            message = "a volume of a service of a swarm has no options but ro"
+            report(inner, message, f"write /srv/maps:/maps:ro, or {_NEEDS_DOCKER}")
+    for inner in _list_inner(nodes.get("args")):
+        _check_service_option(inner, problems)
+
+
+def _list_inner(node: Node | None) -> list[Node]:
+    return node.value if node is not None and isinstance(node.value, list) else []
+
+
+def _check_service_option(node: Node, problems: Problems) -> None:
+    """An option of ``docker create`` that ``docker service create`` does not have, or has for edgectl."""
+    found = _OPTION_PATTERN.fullmatch(str(node.value))
+    option = str(node.value).partition("=")[0]
+    if found is not None and found[1] in _OWN_SERVICE_OPTIONS:
+        message = f"{option} is an option that edgectl sets itself"
+        problems.add(node.mark, ProblemCode.CONTRADICTION, message, "remove it")
+    elif found is not None and found[1] in _CONTAINER_OPTIONS:
+        message = f"a service of a swarm has no option {option}"
+        problems.add(node.mark, ProblemCode.CONTRADICTION, message, f"remove it, or {_NEEDS_DOCKER}")
 
 
 IMAGE_KEYS: Mapping[str, NodeReader] = {

@@ -11,6 +11,7 @@ from edgectl.config.coordination import read_coordination
 from edgectl.config.fields import (
     Fields,
     keep_node,
+    list_reader,
     read_argument_vector,
     read_environment,
     read_fields,
@@ -129,6 +130,7 @@ DEFAULTS_KEYS: Mapping[str, NodeReader] = {
     "env_command": read_argument_vector,
     "prelude": read_text_or_empty,
     "runtime": enum_reader(Runtime),
+    "swarm": list_reader(read_name),
     "ros": read_ros,
 }
 EDGE_KEYS: Mapping[str, NodeReader] = {

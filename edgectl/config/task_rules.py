@@ -11,6 +11,7 @@ from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.task_file import EXCLUSIVE_KEYS, TaskDraft, TaskTemplate
 from edgectl.model.check import Check, CheckLocation, OnUnhealthy
 from edgectl.model.demand import Demand
+from edgectl.model.image import ContainerEngine
 from edgectl.model.latency import HeardRule, LatencyRule
 from edgectl.model.resource import RESOURCES
 from edgectl.model.task import HandoffOrder, OnboardRule, RestartPolicy, TaskKind, UnreachablePolicy
@@ -126,6 +127,15 @@ def _check_self_fence(fields: Fields, problems: Problems) -> None:
             fields.node.key_mark("self_fence"), ProblemCode.CONTRADICTION, message, "write self_fence: 5m"
         )
     policy, _ = fields.values.get("on_unreachable", (None, None))
+    image = fields.values.get("image")
+    if policy is UnreachablePolicy.REPLACE and image is not None and image.engine is ContainerEngine.SWARM:
+        message = (
+            "on_unreachable: replace and engine: swarm do not go together: a swarm may start a service after "
+            "its host was given up"
+        )
+        hint = "write on_unreachable: hold, or engine: docker"
+        mark = fields.node.key_mark("on_unreachable")
+        problems.add(mark, ProblemCode.CONTRADICTION, message, hint)
     if policy is UnreachablePolicy.REPLACE and "self_fence" not in fields:
         message = (
             "on_unreachable: replace needs self_fence: a task on an unreachable host is replaced only "

@@ -63,7 +63,7 @@ def _encode_spec(task: Task, host: Host, hosts: Hosts) -> Request:
         "prelude": host.prelude,
         "env": merge_environment(task, host, hosts),
         "workdir": task.host_workdir,
-        "image": None if task.image is None else _encode_image(task, task.image),
+        "image": None if task.image is None else _encode_image(task, task.image, host),
         "kind": task.kind.value,
         "restart": task.restart.value,
         "stop": encode_stop_rule(task.stop),
@@ -83,7 +83,7 @@ def _encode_spec(task: Task, host: Host, hosts: Hosts) -> Request:
     }
 
 
-def _encode_image(task: Task, image: ContainerImage) -> Request:
+def _encode_image(task: Task, image: ContainerImage, host: Host) -> Request:
     """The container of a task; its variables are among those of the task."""
     return {
         "name": image.name,
@@ -97,6 +97,7 @@ def _encode_image(task: Task, image: ContainerImage) -> Request:
         "pull": image.pull.value,
         "args": list(image.args),
         "workdir": task.workdir,
+        "managers": list(host.swarm),
     }
 
 
@@ -173,7 +174,7 @@ def build_pull_request(task: Task, image: ContainerImage, host: Host, *, timeout
         "host": host.name,
         "task": task.name,
         "instance": NO_INSTANCE,
-        "image": _encode_image(task, image),
+        "image": _encode_image(task, image, host),
         "timeout_s": timeout_s,
     }
 

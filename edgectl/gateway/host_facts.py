@@ -111,13 +111,15 @@ class HostFactsOptions:
     """``timeout`` (s): from the first packet to the last byte, per host.
 
     ``measured``: link capacities in bytes/s by (edge, robot). ``packages``: of ROS, those that each host
-    needs. ``engines``: whether container engines are asked for.
+    needs. ``engines``: whether container engines are asked for; ``swarm``: and whether services of a swarm
+    can be created.
     """
 
     timeout: float = 15.0
     measured: Mapping[tuple[str, str], float] = field(default_factory=dict)
     packages: Mapping[str, Iterable[str]] = field(default_factory=dict)
     engines: bool = False
+    swarm: bool = False
 
 
 def collect_host_facts(
@@ -136,7 +138,7 @@ def collect_host_facts(
 
     def build(host: Host, left: float) -> dict[str, object]:
         packages = options.packages.get(host.name, ())
-        return _build_doctor_request(host, links_of(host), packages, left, engines=options.engines)
+        return _build_doctor_request(host, links_of(host), packages, left, options)
 
     def decode(reply: HostReply) -> HostFacts:
         answered_at = clock()
@@ -170,7 +172,7 @@ def _build_facts_context(
 
 
 def _build_doctor_request(
-    host: Host, links: Mapping[str, str], packages: Iterable[str], timeout: float, *, engines: bool
+    host: Host, links: Mapping[str, str], packages: Iterable[str], timeout: float, options: HostFactsOptions
 ) -> dict[str, object]:
     return {
         "op": protocol.OP_DOCTOR,
@@ -180,7 +182,8 @@ def _build_doctor_request(
         "prelude": host.prelude,
         "ros": encode_host_ros(host, links.values()),
         "packages": list(packages),
-        "engines": engines,
+        "engines": options.engines,
+        **({"managers": list(host.swarm)} if options.swarm else {}),
         "env": drop_secrets(merge_host_environment(host)),
         "timeout_s": max(1.0, timeout - _OVERHEAD_S),
     }

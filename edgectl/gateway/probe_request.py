@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from edgectl.agent.link import protocol
 from edgectl.gateway.latency import encode_latency_rules
 from edgectl.model.check import Check, CheckLocation
+from edgectl.model.image import ContainerEngine
 from edgectl.model.inventory import Host, Inventory, Role
 from edgectl.model.task import DetectRule, Task, Tasks
 from edgectl.rules.environment import drop_secrets, merge_environment
@@ -53,8 +54,15 @@ def build_probe_request(
         "former": sorted(former),
         "manager": manager_id,
         **({"totals": True} if totals else {}),
-        **({"engines": True} if any(task.image for task in tasks.tasks.values()) else {}),
+        **_encode_engines(tasks),
     }
+
+
+def _encode_engines(tasks: Tasks) -> dict[str, object]:
+    """Whether container engines are asked for, and whether docker is asked for its swarm."""
+    images = [task.image for task in tasks.tasks.values() if task.image]
+    swarm = any(image.engine is ContainerEngine.SWARM for image in images)
+    return {**({"engines": True} if images else {}), **({"swarm": True} if swarm else {})}
 
 
 def build_probe_spec(

@@ -9,10 +9,11 @@ from edgectl.dataclass import dataclass
 
 
 class ContainerEngine(StrEnum):
-    """Program that runs containers on a host."""
+    """What runs containers on a host: a program, or the Docker Swarm of which it is a node (ADR 171)."""
 
     DOCKER = "docker"
     PODMAN = "podman"
+    SWARM = "swarm"
 
 
 class PullPolicy(StrEnum):

@@ -70,7 +70,8 @@ class Host:
 
     ``fleet`` is the owner of what this inventory runs there: requests carry it, and the host keeps the tasks
     of different fleets apart. ``ros``: what its nodes need to find others; None where nothing is known of it.
-    ``max_temperature`` (degrees Celsius): near it the host has fewer usable cores.
+    ``max_temperature`` (degrees Celsius): near it the host has fewer usable cores. ``swarm``: contexts of
+    docker on the host by which it reaches managers of its swarm.
 
     ``host`` is an address or an ssh_config alias. A declared ``capacity`` of what is measured otherwise makes
     the host a slice: its load is ``base`` plus its own process trees. ``onboard`` (robots) makes the robot a
@@ -101,6 +102,7 @@ class Host:
     onboard: bool = False
     probe: bool = True
     ros: RosSettings | None = None
+    swarm: tuple[str, ...] = ()
     fleet: str = UNNAMED_FLEET
     transport: str = ""
 

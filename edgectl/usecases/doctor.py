@@ -21,6 +21,7 @@ from edgectl.model.diagnosis import (
     Severity,
     UnreachableHost,
 )
+from edgectl.model.image import ContainerEngine
 from edgectl.model.inventory import Connection, Coordination, Host, Inventory
 from edgectl.model.snapshot import Snapshot
 from edgectl.names import check_known_names
@@ -140,10 +141,12 @@ def _collect_answers(fleet: Fleet, hosts: Sequence[Host], state: Disk, timeout: 
     measured = {} if state.obstacle else load_link_capacities(fleet.state, fleet.warn)
     with contextlib.nullcontext(fleet) if state.obstacle else track_heartbeats(fleet) as near:
         packages = {host.name: tuple(list_ros_packages(fleet.tasks.tasks, host)) for host in hosts}
+        images = [task.image for task in fleet.tasks.tasks.values() if task.image is not None]
         options = HostFactsOptions(
             timeout=timeout,
             measured=measured,
             packages=packages,
-            engines=any(task.image is not None for task in fleet.tasks.tasks.values()),
+            engines=bool(images),
+            swarm=any(image.engine is ContainerEngine.SWARM for image in images),
         )
         return collect_host_facts(fleet.inventory, hosts, near.transport, options, clock=fleet.clock)

@@ -109,6 +109,7 @@ def _list_host_fields(stated: Host, sample: HostSample | None, value: Snapshot) 
         ("Prelude", stated.prelude),
         ("Environment", format_pairs(stated.env)),
         ("Env command", " ".join(stated.env_command)),
+        ("Swarm", ", ".join(stated.swarm)),
         ("Device", _format_device(sample) if sample is not None and sample.ok else ""),
     ]
 

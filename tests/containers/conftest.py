@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """An engine for all tests of a file, and a host whose agent finds it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
@@ -17,13 +17,15 @@ from tests.containers.docker_engine import (
 
 
 class ContainerHost(AgentHost):
-    """A host whose tasks run in containers."""
+    """A host whose tasks run in containers. ``stated``: keys of every image."""
+
+    stated: Mapping[str, object] = {}
 
     def start(
         self, task: str, command: str, *, instance: str = "i1", generation: int = 1, **spec: object
     ) -> dict[str, object]:
         """Start ``command`` in the image of the tests; keys of the image are stated in ``image``."""
-        stated = {"restart": "on-failure", **spec, "image": an_image(**dict(spec.pop("image", None) or {}))}  # type: ignore[call-overload]
+        stated = {"restart": "on-failure", **spec, "image": self.build_image(spec.pop("image", None))}
         return self.ask(
             "start",
             task=task,
@@ -33,11 +35,16 @@ class ContainerHost(AgentHost):
             timeout=120.0,
         )
 
+    def build_image(self, more: object = None) -> dict[str, object]:
+        """The image of a spec, with ``more`` keys."""
+        return an_image(**{**self.stated, **dict(more or {})})  # type: ignore[call-overload]
+
 
 def an_image(**stated: object) -> dict[str, object]:
     image: dict[str, object] = {
         "name": IMAGE, "engine": "docker", "gpus": None, "devices": [], "volumes": list(SYSTEM), "user": None,
         "network": "host", "ipc": "host", "pull": "missing", "args": [], "workdir": None,
+        "managers": [],
     }  # fmt: skip
     return image | stated
 

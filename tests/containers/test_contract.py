@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One contract for all that runs tasks: processes, scopes of systemd, containers of docker."""
+"""One contract for all that runs tasks: processes, scopes of systemd, containers of docker, services of a swarm."""
 
 import os
 import signal
@@ -12,16 +12,26 @@ import pytest
 from tests.agent.conftest import AgentHost, eventually, is_running, systemd
 from tests.containers.conftest import ContainerHost
 from tests.containers.docker_engine import find_missing_for_containers
+from tests.containers.swarm_nodes import CONTEXT, Swarm, SwarmHost, swarm_of
 
 __all__ = ["systemd"]
 
 MISSING = find_missing_for_containers()
+NEEDS_ENGINE = pytest.mark.skipif(bool(MISSING), reason=MISSING)
 LAUNCHERS = [
     "process",
     "systemd",
-    pytest.param("docker", marks=pytest.mark.skipif(bool(MISSING), reason=MISSING)),
+    pytest.param("docker", marks=NEEDS_ENGINE),
+    pytest.param("swarm", marks=NEEDS_ENGINE),
 ]
 COMMAND = "echo up as $EDGECTL_TASK; while :; do :; done"
+
+
+@pytest.fixture(scope="module")
+def swarm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Swarm]:
+    """A manager, and a worker that runs the tasks."""
+    with swarm_of(tmp_path_factory.mktemp("swarm"), ["zeta", "alpha"]) as found:
+        yield found
 
 
 @pytest.fixture(params=LAUNCHERS)
@@ -33,6 +43,13 @@ def launcher(
         yield request.getfixturevalue("host")
         return
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
+    if request.param == "swarm":
+        node = request.getfixturevalue("swarm").nodes["alpha"]
+        host = SwarmHost("edge1", tmp_path / "state", node, [CONTEXT])
+        yield host
+        host.end()
+        assert node.engine.list_containers() == []
+        return
     agent = AgentHost("edge1", tmp_path / "state")
     if request.param == "systemd":
         agent.runtime, agent.session.python = "systemd", str(request.getfixturevalue("systemd").python)

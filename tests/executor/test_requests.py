@@ -81,6 +81,7 @@ def test_the_workdir_of_an_image_is_in_the_container() -> None:
     assert spec["image"] == {
         "name": "lab/slam:1", "engine": None, "gpus": None, "devices": ["/dev/video0"], "volumes": [],
         "user": None, "network": "host", "ipc": "host", "pull": "missing", "args": [], "workdir": "/data",
+        "managers": [],
     }  # fmt: skip
 
 

@@ -55,6 +55,9 @@ def main() -> int:
         "--connection", choices=["ssh", "openssh"], default="ssh", help="connection of edgectl to the hosts"
     )
     parser.add_argument(
+        "--swarm", action="store_true", help="containers are services of a Docker Swarm of the hosts"
+    )
+    parser.add_argument(
         "--record",
         type=Path,
         metavar="FILE",
@@ -103,7 +106,7 @@ def list_cases(options: argparse.Namespace) -> list[Case]:
         (each, kind)
         for each, kind in every
         if (options.only in each.name or options.only in (kind, get_module(each)))
-        and kind == (options.hosts or kind)
+        and kind == ("containers" if options.swarm else options.hosts or kind)
     ]
     return [
         (each, kind, options.times or (1 if options.quick else get_full(each, kind))) for each, kind in wanted
@@ -135,6 +138,7 @@ def run_case(case: Case, options: argparse.Namespace, until: float) -> FaultRow:
             connection=options.connection,
             sample=options.quick,
             points=1 if options.quick else options.points,
+            swarm=options.swarm,
         ),
         exactly=options.injection,
         skip=injection_record.count_seeds(read_recorded(options), case, options.seed),

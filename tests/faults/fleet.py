@@ -30,6 +30,7 @@ from tests.faults.messages import Subscriber, subscribe
 from tests.faults.namespace_host import NamespaceHost, start_namespace_hosts
 from tests.faults.oracle import OracleVerdict
 from tests.faults.relay import Relay
+from tests.faults.swarm_fleet import await_nodes, form_swarm, list_left_services
 from tests.pace import patience
 
 EDGECTL = Path(sys.executable).with_name("edgectl")
@@ -63,13 +64,14 @@ class EdgectlVariant:
 
     ``code``: directory of another edgectl package; ``connection``: how it reaches the hosts; ``sample``: one round
     of a fault that has several; ``points``: kill at so many random failpoints of a command (None: at all of them; below
-    0: at so many of the last).
+    0: at so many of the last). ``swarm``: where tasks run in containers, these are services of a Docker Swarm.
     """
 
     code: Path | None = None
     connection: str = "ssh"
     sample: bool = False
     points: int | None = None
+    swarm: bool = False
 
 
 @dataclass(kw_only=True)
@@ -97,6 +99,7 @@ class FaultFleet:
     connection: str = "ssh"
     sample: bool = False
     points: int | None = None
+    swarm: bool = False
     kill_at: int | None = None
     kill_with: signal.Signals = signal.SIGKILL
     injected: int = 0
@@ -173,7 +176,8 @@ class FaultFleet:
 
     def build_image(self, **more: object) -> dict[str, object]:
         """The image of a task, in which "$HOME/oracle" is that of the host."""
-        return {"name": IMAGE, "volumes": [*SYSTEM, "~/oracle:/oracle"], "pull": "never", **more}
+        engine = {"engine": "swarm"} if self.swarm else {}
+        return {"name": IMAGE, "volumes": [*SYSTEM, "~/oracle:/oracle"], "pull": "never", **engine, **more}
 
     def pin_task(self, name: str, on: str | None) -> None:
         """Pin task ``name`` to host ``on`` (None: any host)."""
@@ -454,6 +458,7 @@ class FaultFleet:
             f"temporary file {path}" for path in scan.list_files(self.state, *places) if path.suffix == ".tmp"
         ]
         left += [line for engine in self.engines.values() for line in engine.find_left()]
+        left += list_left_services(self) if self.swarm else []
         left += scan.list_held_locks(self.state, *places)
         left += [
             f"open to others: {path}"
@@ -485,6 +490,8 @@ def repair_fleet(fleet: FaultFleet) -> None:
         host.allow_logins(allowed=True)
     for engine in fleet.engines.values():
         engine.start()
+    if fleet.swarm:
+        await_nodes(fleet)
 
 
 @contextmanager
@@ -505,8 +512,9 @@ def open_fleet(
         prefix: list[str] = []
         netns = None
         if kind != "loopback":
-            # For every second seed, the engines end their containers as they come back.
+            # For every second seed, the engines end their containers as they come back; in a swarm they always do.
             live = random.Random(f"engine {seed}").random() < 0.5 if kind == "containers" else None
+            live = live and not variant.swarm
             made = start_namespace_hosts(
                 directory / "hosts", names, systemd=kind == "systemd", live_restore=live, shared=shared
             )
@@ -526,6 +534,9 @@ def open_fleet(
             connection=variant.connection,
             sample=variant.sample,
             points=variant.points,
+            swarm=variant.swarm,
         )
+        if variant.swarm:
+            form_swarm(fleet)
         stack.callback(lambda: scan.kill_processes(scan.list_marked_processes(fleet.mark)))
         yield fleet

@@ -65,6 +65,13 @@ IMAGE = ContainerImage(name="ros:jazzy")
             a_task(image=replace(IMAGE, engine=ContainerEngine.PODMAN)),
             RejectionRule.NO_ENGINE,
         ),
+        (
+            an_edge(),
+            replace(a_sample(), engines=("docker",)),
+            NO_MEMORY,
+            a_task(image=replace(IMAGE, engine=ContainerEngine.SWARM)),
+            RejectionRule.NO_ENGINE,
+        ),
     ],
 )
 def test_no_candidate(

@@ -12,7 +12,8 @@ from ..link.fast_json import Document
 from ..measure import proc
 from ..supervise import signals, spawn
 from ..supervise.command import Command
-from . import ending, record, runner
+from . import ending, engine, record, runner
+from .create import NAME_VARIABLE
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -38,10 +39,13 @@ class ContainerCommand(Command):
         # Why the container ended, where its exit code does not say it.
         self._detail = ""
         self._ran = False
+        self._name = ""
+        # Read before the supervisor could hear it.
+        self._heard: "list[Document]" = []
 
     def start(self, spec: Document, env: "dict[str, str]") -> None:
         """Start a run: the first one until the container runs, a later one at once, which then waits for an
-        engine that does not answer.
+        engine that does not answer. So does a first one of which a swarm does not say whether it starts.
 
         Raises:
             OSError: it did not start.
@@ -63,6 +67,7 @@ class ContainerCommand(Command):
         self.take_lock()
         found = record.read_container(self._folder)
         self._main = int(found.get("pid", 0)), int(found.get("ticks", -1))
+        self._name = str(found.get("name") or "")
         self.pid, self.pipe = self._fork(self.lock, lambda each: each.resume())
         self.resumed, self._ran, self.ticks = True, True, self._main[1]
         self.started = time.monotonic() - proc.age_s_from_ticks(self.ticks)
@@ -75,6 +80,10 @@ class ContainerCommand(Command):
     def find_main_process(self) -> int:
         """Find the process that checks mean."""
         return self._main[0]
+
+    def get_variables(self) -> "dict[str, str]":
+        """Get the name of the container, which checks are given."""
+        return {NAME_VARIABLE: self._name} if self._name else {}
 
     def describe_end(self, code: int) -> Document:
         """Describe the end of the container by the wait status of its runner."""
@@ -109,14 +118,20 @@ class ContainerCommand(Command):
             os.dup2(output, 1)
             os.dup2(output, 2)
             spawn.close_other_fds({0, 1, 2, lock, notes})
-            found = runner.ContainerRunner(self._folder, self._identity, self._spec, notes)
-            code = work(found)
+            code = work(self._build_runner(notes, lock))
         except (runner.StartError, RefusalError) as error:
             _fail(notes, error.message, error.hint)
         except Exception as error:  # noqa: BLE001 - the pipe is the only channel left
             _fail(notes, "%s: %s" % (type(error).__name__, error), "")
         finally:
             os._exit(code)
+
+    def _build_runner(self, notes: int, lock: int) -> runner.ContainerRunner:
+        if self._spec["image"].get("engine") != engine.SWARM:
+            return runner.ContainerRunner(self._folder, self._identity, self._spec, notes)
+        from .service_runner import ServiceRunner
+
+        return ServiceRunner(self._folder, self._identity, self._spec, notes, lock)
 
     def _await_start(self, pid: int, output: int) -> None:
         """Wait for the first note."""
@@ -125,6 +140,9 @@ class ContainerCommand(Command):
             select.select([self.notes], [], [], 0.5)
             for note in self.read_notes():
                 if note["event"] == "started":
+                    return
+                if note["event"] == "lost":
+                    self.waits, self._heard = True, [note]
                     return
                 if note["event"] == "failed":
                     os.close(output)
@@ -140,25 +158,26 @@ class ContainerCommand(Command):
 
     def read_notes(self) -> "list[Document]":
         """Read what the runner has to say, without waiting; the pipe is closed at its end."""
+        heard, self._heard = self._heard, []
         if self.notes < 0:
-            return []
+            return heard
         try:
             data = os.read(self.notes, _MAX_NOTES_BYTES)
         except BlockingIOError:
-            return []
+            return heard
         if not data:
             self.close()
         *lines, self._data = (self._data + data).split(b"\n")
         found = [fast_json.loads(line.decode("ascii")) for line in lines]
         for note in found:
             if note["event"] == "started":
-                self._main = int(note["pid"]), int(note["ticks"])
+                self._main, self._name = (int(note["pid"]), int(note["ticks"])), str(note["name"])
                 self.ticks, self.started = self._main[1], time.monotonic()
             elif note["event"] == "ended":
                 self._detail = str(note["detail"])
             elif note["event"] == "failed":
                 self._detail = str(note["reason"])
-        return found
+        return heard + found
 
     def close(self) -> None:
         """Close the pipe of the notes."""
@@ -183,7 +202,9 @@ class ContainerCommand(Command):
 
 
 def describe_loss(note: Document) -> str:
-    """Describe that the engine does not answer."""
+    """Describe that the engine does not answer, or that a swarm has not started the container yet."""
+    if note["asked"]:
+        return "waiting for %s to start the container" % note["engine"]
     what = "the container runs on without it" if note["alive"] else "waiting for it to start the container"
     return "%s does not answer: %s" % (note["engine"], what)
 

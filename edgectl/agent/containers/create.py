@@ -73,14 +73,38 @@ def build_create_argv(
     argv += ["--log-driver", "none", "--network", image["network"], "--ipc", image["ipc"]]
     for label, text in sorted(build_labels(identity, folder).items()):
         argv += ["--label", "%s=%s" % (label, text)]
-    for name, text in sorted(variables.items()):
-        argv += ["--env", "%s=%s" % (name, text) if _is_own_variable(name) else name]
-    if "EDGECTL_METRICS" in variables:
-        argv += ["--volume", "%s:%s" % (metrics.get_metrics_path(folder), _METRICS_IN_CONTAINER)]
+    argv += build_variable_options(variables)
+    volume = find_metrics_volume(folder, variables)
+    argv += ["--volume", volume] if volume else []
     argv += _build_resource_options(program, image, spec.get("limits") or {})
     argv += list(image["args"])
     argv += [image["name"]]
-    return argv + (["/bin/sh", "-c", _TRAPS + spec["command"]] if spec["command"] else [])
+    return argv + build_shell_words(spec)
+
+
+def build_variable_options(variables: "Mapping[str, str]") -> "list[str]":
+    """Build the options that pass the environment of the container on by name."""
+    words: "list[str]" = []
+    for name, text in sorted(variables.items()):
+        words += ["--env", "%s=%s" % (name, text) if _is_own_variable(name) else name]
+    return words
+
+
+def find_metrics_volume(folder: str, variables: "Mapping[str, str]") -> str:
+    """Find the volume of the application's metrics; empty where it has none."""
+    if "EDGECTL_METRICS" not in variables:
+        return ""
+    return "%s:%s" % (metrics.get_metrics_path(folder), _METRICS_IN_CONTAINER)
+
+
+def build_shell_words(spec: Document) -> "list[str]":
+    """Build what runs the command of the task in the container; nothing where the image's own runs."""
+    return ["/bin/sh", "-c", _TRAPS + spec["command"]] if spec["command"] else []
+
+
+def format_cpus(cores: float) -> str:
+    """Format a limit in cores: the engine refuses more than the host has."""
+    return "%.2f" % max(_MIN_CPUS, min(cores, float(os.cpu_count() or 1)))
 
 
 def _build_resource_options(program: str, image: Document, limits: Document) -> "list[str]":
@@ -97,8 +121,7 @@ def _build_resource_options(program: str, image: Document, limits: Document) -> 
     if image.get("workdir"):
         argv += ["--workdir", image["workdir"]]
     if limits.get("cpu"):
-        # The engine refuses more than the host has.
-        argv += ["--cpus", "%.2f" % max(_MIN_CPUS, min(float(limits["cpu"]), float(os.cpu_count() or 1)))]
+        argv += ["--cpus", format_cpus(float(limits["cpu"]))]
     if limits.get("memory"):
         argv += ["--memory", "%db" % int(limits["memory"])]
     return argv

@@ -15,7 +15,8 @@ from ..supervise import liveness, lockfile, signals, state_dir
 from . import create, engine, record
 
 REMOVE_S = 30.0
-_TRIES, _TRY_S = 5, 0.2
+# A swarm removes the container of its service itself, which takes it longer.
+_TRIES, _SERVICE_TRIES, _TRY_S = 5, 40, 0.2
 # The engine may hang in a removal beside a request, but a start waits only for so long.
 _AWAITED_S, _POLL_S = 20.0, 0.05
 _KILL = signals.parse_signal("KILL")
@@ -32,13 +33,13 @@ def signal_step(
     `signals.send_signals`.
 
     What follows the container from outside ends with it; it is killed in the last step, or where it waits for
-    an engine that is gone.
+    an engine that is gone, or for a swarm to start the container.
     """
     found = record.read_container(folder)
     inside = record.find_processes_by_id(str(found.get("id") or ""), table) & left
     done: "set[tuple[int, int, int]]" = set()
     if not inside:
-        if number != _KILL and not found.get("lost"):
+        if number != _KILL and not (found.get("lost") or found.get("pending")):
             return done
         return signals.send_signals([(pid, table[pid].ticks) for pid in sorted(left)], _KILL, sent)
     # Once for each signal, and again only to what the engine could not be asked for.
@@ -68,7 +69,13 @@ def remove_containers(folder: str, program: str = "") -> str:
     program = program or str(found.get("program") or "")
     if not program:
         return ""
-    for number in range(_TRIES):
+    if found.get("place"):
+        from .swarm import remove_service
+
+        why = remove_service(folder)
+        if why:
+            return why
+    for number in range(_SERVICE_TRIES if found.get("place") else _TRIES):
         # One that the engine is just removing is refused, and still listed.
         time.sleep(_TRY_S if number else 0.0)
         ids, call = list_containers(program, folder)
@@ -119,6 +126,11 @@ def await_removal(folder: str) -> None:
 
 def end_followers(folder: str) -> None:
     """Kill what follows the container of an orphan from outside; its new supervisor follows it anew."""
+    known = record.read_container(folder)
+    if known.get("pending"):
+        # A swarm may have started it since; else it would pass for what follows it.
+        ids = list_containers(str(known["program"]), folder)[0]
+        record.write_container(folder, dict(known, id=ids[0] if ids else ""), durable=True)
     table = proc.read_process_table()
     found = liveness.find_orphans(liveness.read_instance(folder), table)
     outside = found - record.find_container_processes(folder, table)

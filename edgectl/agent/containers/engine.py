@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from typing import Mapping, Sequence
 
 ENGINES = ("docker", "podman")
+# docker's own program runs services of a swarm.
+SWARM = "swarm"
 NO_ENGINE = "no-container-engine"
 # What a call came to; LOST: the engine did not answer, so nothing is known.
 DONE, FAILED, GONE, LOST = "done", "failed", "gone", "lost"
@@ -24,7 +26,10 @@ _LOST_WORDS = (
     "error during connect",
     "unexpected eof",
 )
-_GONE_WORDS = ("no such container", "no such object", "is not running", "already in progress")
+_GONE_WORDS = (
+    *("no such container", "no such object", "no such service"),
+    *("is not running", "already in progress"),
+)
 _FOLDERS = ("/usr/bin", "/usr/local/bin", "/bin", "/snap/bin")
 
 
@@ -45,9 +50,18 @@ def find_program(engine: str) -> str:
     return next((path for path in paths if os.access(path, os.X_OK)), "")
 
 
-def list_usable_engines() -> "list[str]":
-    """List the engines that this host has and this user may use. None is asked: that takes 50 ms of CPU."""
-    return [name for name in ENGINES if find_program(name) and (name != "docker" or _may_use_docker())]
+def list_usable_engines(*, swarm: bool) -> "list[str]":
+    """List the engines that this host has and this user may use. None is asked: that takes 50 ms of CPU.
+
+    ``swarm``: docker is asked whether it is a node of a swarm, which then is an engine, too.
+    """
+    found = [name for name in ENGINES if find_program(name) and (name != "docker" or _may_use_docker())]
+    if swarm and "docker" in found:
+        call = call_engine(
+            [find_program("docker"), "info", "--format", "{{.Swarm.LocalNodeState}}"], _VERSION_S
+        )
+        found += [SWARM] if call.out.strip() == "active" else []
+    return found
 
 
 def describe_engines() -> "dict[str, Document]":
@@ -77,17 +91,21 @@ def choose_program(wanted: "str | None") -> str:
     Raises:
         RefusalError: there is none.
     """
-    found = [path for path in (find_program(name) for name in ([wanted] if wanted else ENGINES)) if path]
+    name = "docker" if wanted == SWARM else wanted
+    found = [path for path in (find_program(each) for each in ([name] if name else ENGINES)) if path]
     if found:
         return found[0]
-    what = "%s is not installed" % wanted if wanted else "neither docker nor podman is installed"
+    what = "%s is not installed" % name if name else "neither docker nor podman is installed"
     raise RefusalError(NO_ENGINE, what, "install a container engine there, or allow other hosts")
 
 
 def call_engine(
-    argv: "Sequence[str]", timeout_s: float = CALL_S, env: "Mapping[str, str] | None" = None
+    argv: "Sequence[str]",
+    timeout_s: float = CALL_S,
+    env: "Mapping[str, str] | None" = None,
+    keep: "tuple[int, ...]" = (),
 ) -> EngineCall:
-    """Run ``argv`` for at most ``timeout_s`` seconds."""
+    """Run ``argv`` for at most ``timeout_s`` seconds; it inherits the files ``keep``."""
     # Imported on demand: 2 MB in every process without a container.
     import subprocess
 
@@ -99,6 +117,7 @@ def call_engine(
             stderr=subprocess.PIPE,
             env=None if env is None else dict(env),
             cwd="/",
+            pass_fds=keep,
             start_new_session=True,
         )
     except OSError as error:

@@ -26,8 +26,15 @@ def read_container(folder: str) -> Document:
     """Read the record: ``id``, ``name`` and ``program`` of the engine; ``run``, another one for each
     container; ``pid`` and ``ticks`` of its first process once it was started; ``lost`` while the engine does
     not answer. Empty without a container.
+
+    Of a service of a swarm: its ``place`` until it is removed, and ``pending`` while it may start.
     """
     return records.read_record(os.path.join(folder, FILE_NAME))
+
+
+def may_start(folder: str) -> bool:
+    """Whether a swarm was asked for the container and may start it, although nothing of it is seen yet."""
+    return bool(read_container(folder).get("pending"))
 
 
 def write_container(folder: str, document: Document, *, durable: bool = False) -> None:
@@ -37,8 +44,10 @@ def write_container(folder: str, document: Document, *, durable: bool = False) -
 
 def note_removal(folder: str, found: Document) -> None:
     """Note that the engine has nothing more of the container that the record ``found`` describes, so that it
-    is not asked again.
+    is not asked again. A service may be left in its swarm all the same.
     """
+    if read_container(folder).get("place"):
+        return
     try:
         records.write_record(os.path.join(folder, _REMOVED_NAME), {"run": found.get("run", "")})
     except OSError:

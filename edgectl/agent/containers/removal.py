@@ -56,6 +56,10 @@ def _remove_dead(folder: str) -> None:
     """Remove what is in no use: the engine itself refuses to remove what runs, as force is not asked for."""
     found = record.read_container(folder)
     program = str(found.get("program") or "")
+    if found.get("place"):
+        from .swarm import remove_service
+
+        remove_service(folder)
     ids, call = ending.list_containers(program, folder)
     if ids:
         engine.call_engine([program, "rm", "--volumes", *ids], ending.REMOVE_S)

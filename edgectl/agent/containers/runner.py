@@ -19,10 +19,10 @@ from . import create, ending, engine, record
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from subprocess import Popen
-    from typing import Sequence
+    from typing import Callable, Mapping, Sequence
 
 CREATE_S, START_S = 30.0, 40.0
-_POLL_S, _RETRY_S = 0.03, 1.0
+_POLL_S = 0.03
 # What both engines say of a name that another container has.
 _NAME_IS_USED = "already in use"
 # In place of the exit code of a container that somebody else removed: as if it was killed.
@@ -44,11 +44,15 @@ class EngineLostError(Exception):
 class ContainerRunner:
     """One container from its creation to its end."""
 
+    # What is waited for while the container does not run; empty: the engine of this host. How long between
+    # two looks at it.
+    STARTER, RETRY_S = "", 1.0
+    LOST_HINT = "start the engine there, or allow other hosts"
+
     def __init__(self, folder: str, identity: Document, spec: Document, notes: int) -> None:
         """``notes``: a pipe to the supervisor."""
         self._folder, self._identity, self._spec, self._notes = folder, identity, spec, notes
-        self._variables = create.build_variables(spec, identity, folder)
-        self._env = create.build_engine_environment(shell.build_environment(None), self._variables)
+        self._set_variables(create.build_variables(spec, identity, folder))
         self._program, self._id = "", ""
         self._parent = os.getppid()
         self._found: Document = {}
@@ -65,35 +69,50 @@ class ContainerRunner:
         self._program = engine.choose_program(self._spec["image"].get("engine"))
         if not patient:
             ending.await_removal(self._folder)
-        while not self._try_start(patient=patient):
+        return self._bring_up((self._create, self._start), patient=patient)
+
+    def _set_variables(self, variables: "Mapping[str, str]") -> None:
+        """Set the environment of the container, and that of the engine's program, which passes it on."""
+        self._variables = dict(variables)
+        self._env = create.build_engine_environment(shell.build_environment(None), self._variables)
+
+    def _bring_up(self, steps: "Sequence[Callable[[], None]]", *, patient: bool) -> int:
+        """Start the container by ``steps``, or else from its creation, and follow it; its exit code."""
+        while not self._try_start(steps, patient=patient):
             self._note_loss(alive=False)
             self._pause()
+            steps = (self._create, self._start)
         self._note_return()
-        self._note(event="started", pid=self._found["pid"], ticks=self._found["ticks"])
+        self._note_start()
         return self._follow()
 
-    def _try_start(self, *, patient: bool) -> bool:
+    def _try_start(self, steps: "Sequence[Callable[[], None]]", *, patient: bool) -> bool:
         """Whether the container runs; False where the engine does not answer and ``patient``. What cannot be
-        started is removed.
+        started is removed; False also where that cannot be proven.
         """
         try:
-            self._create()
-            self._start()
+            for step in steps:
+                step()
         except EngineLostError as error:
-            if patient:
+            if patient or not self._is_taken_back():
                 return False
-            ending.remove_containers(self._folder, self._program)
-            raise StartError(str(error), "start the engine there, or allow other hosts") from None
+            raise StartError(str(error), self.LOST_HINT) from None
         except StartError:
-            ending.remove_containers(self._folder, self._program)
+            if not self._is_taken_back():
+                return False
             raise
         return True
+
+    def _is_taken_back(self) -> bool:
+        """Remove what was created: whether it is certain that it never starts."""
+        ending.remove_containers(self._folder, self._program)
+        return not record.may_start(self._folder)
 
     def resume(self) -> int:
         """Follow the container that the record names; its exit code."""
         self._found = record.read_container(self._folder)
         self._program, self._id = str(self._found["program"]), str(self._found["id"])
-        self._note(event="started", pid=self._found.get("pid", 0), ticks=self._found.get("ticks", -1))
+        self._note_start()
         return self._follow()
 
     def _note(self, **event: object) -> None:
@@ -103,6 +122,15 @@ class ContainerRunner:
         except OSError:
             pass
 
+    def _note_start(self) -> None:
+        known = self._found
+        self._note(
+            event="started",
+            pid=known.get("pid", 0),
+            ticks=known.get("ticks", -1),
+            name=str(known.get("name") or ""),
+        )
+
     def _write(self, **changes: object) -> None:
         self._found = dict(self._found, **changes)
         durable = "id" in changes
@@ -110,11 +138,11 @@ class ContainerRunner:
             record.write_container(self._folder, self._found, durable=durable)
         except OSError:
             # Without the id on disk nothing is started; what else changes can be asked for again.
-            if durable and changes["id"]:
+            if durable and (changes["id"] or changes.get("pending")):
                 raise
 
     def _pause(self) -> None:
-        time.sleep(_RETRY_S)
+        time.sleep(self.RETRY_S)
         if os.getppid() != self._parent and not self._list_inside():
             # Nobody waits for a container that does not run.
             os._exit(1)
@@ -125,7 +153,9 @@ class ContainerRunner:
     def _note_loss(self, *, alive: bool) -> None:
         if not self._found.get("lost") or bool(self._found.get("alive")) != alive:
             self._write(lost=True, alive=alive)
-            self._note(event="lost", alive=alive, engine=os.path.basename(self._program))
+            starter = "" if alive else self.STARTER
+            name = starter or os.path.basename(self._program)
+            self._note(event="lost", alive=alive, engine=name, asked=bool(starter))
 
     def _note_return(self) -> None:
         if self._found.get("lost"):
@@ -140,6 +170,9 @@ class ContainerRunner:
     def _create(self) -> None:
         """Create the container and record it; what an earlier run has left of it is removed first."""
         self._id = ""
+        if record.read_container(self._folder).get("place"):
+            # It was a service until now.
+            ending.remove_containers(self._folder)
         self._write(
             id="",
             run=os.urandom(6).hex(),
@@ -185,7 +218,7 @@ class ContainerRunner:
                 self._check(call)
                 if call.kind != engine.DONE:
                     raise StartError(call.why)
-                if state.get("Running") or _has_run(state):
+                if state.get("Running") or has_run(state):
                     pids, table = self._list_inside(), proc.read_process_table()
                     pid, ticks = record.find_first_process(pids, table)
                     return self._write(pid=pid, ticks=ticks)
@@ -237,8 +270,8 @@ class ContainerRunner:
         return code
 
 
-def _has_run(state: Document) -> bool:
-    """Whether it ran and has ended already."""
+def has_run(state: Document) -> bool:
+    """Whether a container in ``state`` ran and has ended already."""
     return state.get("Status") in ("exited", "dead") and not str(state.get("StartedAt", "")).startswith(
         "0001"
     )

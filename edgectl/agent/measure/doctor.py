@@ -61,6 +61,10 @@ def collect_facts(request: Document) -> Document:
         from ..containers.engine import describe_engines
 
         answer["engines"] = describe_engines()
+    if request.get("managers") is not None:
+        from ..containers.swarm import describe_swarm
+
+        answer["engines"].update(describe_swarm(request["managers"]))
     result = seen.result()
     answer["surroundings"] = parse_surroundings(result)
     if request.get("ros"):

@@ -87,7 +87,7 @@ def _list_engines(request: Document) -> Document:
         return {}
     from ..containers.engine import list_usable_engines
 
-    return {"engines": list_usable_engines()}
+    return {"engines": list_usable_engines(swarm=bool(request.get("swarm")))}
 
 
 def _describe_place() -> str:

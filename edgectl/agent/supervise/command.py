@@ -36,6 +36,10 @@ class Command:
         """Get (pid, start ticks) of the task itself."""
         return self.pid, self.ticks
 
+    def get_variables(self) -> "dict[str, str]":
+        """Get what checks are given in their environment of the present run."""
+        return {}
+
     def read_notes(self) -> "list[Document]":
         """Read what a runner has to say."""
         return []

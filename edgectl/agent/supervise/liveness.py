@@ -121,10 +121,18 @@ def _find_in_container(folder: str, table: "dict[int, proc.Process]") -> "set[in
     return find_container_processes(folder, table)
 
 
+def _may_start(folder: str) -> bool:
+    """Whether a swarm may start the container of the task at any time, whoever lives (ADR 171)."""
+    from ..containers.record import may_start
+
+    return may_start(folder)
+
+
 def may_live(folder: str) -> bool:
     """Whether the record leaves it open that the task lives: cheap, for most have ended."""
     known = records.read_record(os.path.join(folder, "status"))
-    return known.get("state") not in protocol.FINAL_STATES or bool(known.get("left"))
+    open_end = known.get("state") not in protocol.FINAL_STATES or bool(known.get("left"))
+    return open_end or (os.path.exists(os.path.join(folder, "container")) and _may_start(folder))
 
 
 def is_alive(found: InstanceRecord, table: "dict[int, proc.Process] | None" = None) -> bool:
@@ -133,7 +141,7 @@ def is_alive(found: InstanceRecord, table: "dict[int, proc.Process] | None" = No
 
     Processes are searched only where the record does not state the end.
     """
-    if found.locked:
+    if found.locked or (found.instance.get("image") and _may_start(found.folder)):
         return True
     ended = found.status.get("state") in protocol.FINAL_STATES and not found.status.get("left")
     if ended or not found.instance or not is_same_boot(found):

@@ -125,6 +125,7 @@ class Supervisor:
     def _take_over(self, status: Document) -> None:
         """Continue from the status of an orphan."""
         self.command.take_over(status)
+        self.env.update(self.command.get_variables())
         self.status.update(status, detail=_ADOPTED if self.command.adopted else "")
         self.checks.adopt(*self.command.get_main(), status)
 
@@ -157,12 +158,14 @@ class Supervisor:
     def _start_command(self) -> None:
         self.next_start = None
         self.command.start(self.spec, self.env)
-        if self.command.waits:
-            return self._record_status(state=protocol.STARTING, pid=0, detail="")
-        return self._begin_run()
+        if not self.command.waits:
+            return self._begin_run()
+        self._record_status(state=protocol.STARTING, pid=0, detail="")
+        return self._hear_runner()
 
     def _begin_run(self) -> None:
         """Begin the checks of what was just started, and record it."""
+        self.env.update(self.command.get_variables())
         self.nodes.begin()
         pid, ticks = self.command.get_main()
         self._record_status(pid=pid, ticks=ticks, exit_code=None, detail="", **self.checks.begin(pid, ticks))
