@@ -191,7 +191,8 @@ def describe_positional(kind: type[Any], given: tuple[Any, ...], named: dict[str
     except TypeError as error:
         return type(error)
     other = kind(*given, **named)
-    hashed = kind.__hash__ not in (None, object.__hash__)
+    no_hash: tuple[object, ...] = (None, object.__hash__)
+    hashed = kind.__hash__ not in no_hash
     return dataclasses.astuple(made), repr(made).partition("(")[2], made == other, hashed, kind.__match_args__
 
 

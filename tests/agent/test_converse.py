@@ -20,13 +20,8 @@ import pytest
 from edgectl.agent.link import frames
 from edgectl.agent.measure import proc
 from edgectl.errors import RefusedError
-from edgectl.transport.agent_client import (
-    build_agent_command,
-    build_agent_zipapp,
-    build_packet,
-    find_payload,
-    split_frame,
-)
+from edgectl.transport.agent_archive import build_agent_zipapp
+from edgectl.transport.agent_client import build_agent_command, build_packet, find_payload, split_frame
 from tests.agent.conftest import AgentHost, eventually, is_running
 from tests.pace import patience
 
