@@ -125,6 +125,8 @@ class DockerEngine(EngineClient):
     """An engine on this machine. It is running between `start` and `kill`."""
 
     live_restore: bool = True
+    # With the network of this machine, as a build needs it; else without a cable.
+    connected: bool = False
     process: "subprocess.Popen[bytes] | None" = None
     # Keeps the namespaces while the engine is away.
     holder: "subprocess.Popen[bytes] | None" = None
@@ -162,11 +164,11 @@ class DockerEngine(EngineClient):
             time.sleep(0.1)
 
     def _make_namespaces(self) -> None:
-        """A network without a cable, and a /run of its own, in which the sockets of the shims are."""
+        """A /run of its own, in which the sockets of the shims are; and mostly a network without a cable."""
         self.folder.mkdir(exist_ok=True)
         ready = "mount -t tmpfs tmpfs /run && echo ready && exec sleep infinity"
         self.holder = subprocess.Popen(
-            ["unshare", "--mount", "--net", "--ipc", "sh", "-c", ready],
+            ["unshare", "--mount", *(() if self.connected else ("--net",)), "--ipc", "sh", "-c", ready],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
         )
@@ -255,9 +257,11 @@ def build_image() -> bytes:
 
 
 @contextmanager
-def docker_engine(folder: Path, *, live_restore: bool = True) -> Iterator[DockerEngine]:
+def docker_engine(
+    folder: Path, *, live_restore: bool = True, connected: bool = False
+) -> Iterator[DockerEngine]:
     """An engine with the image of the tests."""
-    engine = DockerEngine(folder, live_restore)
+    engine = DockerEngine(folder, live_restore, connected)
     try:
         engine.start()
         engine.import_image()
