@@ -12,6 +12,7 @@ from edgectl.cli.user_files import load_inputs
 from edgectl.errors import ExitCode
 from edgectl.model.inventory import Inventory
 from edgectl.names import check_known_names
+from edgectl.units import format_duration
 
 
 def cordon_command(
@@ -85,6 +86,11 @@ def fence_command(
 
     fleet = build_fleet(load_inputs(inventory, tasks))
     check_known_names([host], operator_marks.list_fenceable_hosts(fleet), "host")
+    silence_s = operator_marks.compute_silence_s(fleet, host)
+    if silence_s is not None:
+        console.print_message(
+            f"note: {host} last answered {format_duration(silence_s)} ago; the fence ends when it answers"
+        )
     if dry_run:
         return _report_hosts([host], fleet.inventory, "fenced", dry_run=True)
     apply_session.check_can_confirm(asked=not yes, first="check first: edgectl fence --dry-run")

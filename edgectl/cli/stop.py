@@ -7,7 +7,7 @@ from typer import Argument, Exit, Option
 
 from edgectl.cli import console, exit_codes, options
 from edgectl.cli.completion import complete_tasks as task_names
-from edgectl.cli.task_names import expand_task_names, resolve_task_name
+from edgectl.cli.task_names import expand_task_names
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import ExitCode, UsageError
 from edgectl.model.plan import Action
@@ -120,7 +120,7 @@ def start_command(
 
 def restart_command(
     *,
-    task: options.TaskArgument,
+    names: options.TasksArgument,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     output: options.NamedOutput = OutputFormat.TABLE,
@@ -128,7 +128,7 @@ def restart_command(
     dry_run: options.DryRunOption = False,
     lock_timeout: options.LockTimeoutOption = None,
 ) -> None:
-    """Stop a task and start it again on the same host; or start one that failed for good.
+    """Stop tasks and start each again on its host; or start those that failed for good.
 
     Examples:
         edgectl restart slam-robot1 --yes
@@ -136,22 +136,22 @@ def restart_command(
     """
     from edgectl.cli import apply_session
     from edgectl.cli.connect import build_fleet, parse_lock_timeout
-    from edgectl.usecases.stop import restart_task
+    from edgectl.usecases.stop import restart_tasks
 
     first = "check first: edgectl restart --dry-run"
     asked = apply_session.check_can_confirm(asked=not (yes or dry_run), first=first)
     fleet = build_fleet(load_inputs(inventory, tasks))
-    task = resolve_task_name(task, fleet.tasks)
+    names = expand_task_names(names, fleet.tasks)
     with apply_session.open_apply_session(
         quiet=False, output=output, asked=asked, dry_run=dry_run, fleet=fleet.inventory.fleet
     ) as act:
-        applied = restart_task(
+        applied = restart_tasks(
             fleet,
-            task,
+            names,
             act.confirm,
             act.options(lock_timeout=parse_lock_timeout(lock_timeout)),
         )
     if dry_run:
         raise Exit(apply_session.print_requests(fleet, applied.plan, output))
     act.report(applied)
-    raise Exit(exit_codes.of_named(applied, [task]))
+    raise Exit(exit_codes.of_named(applied, names))

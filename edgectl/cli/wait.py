@@ -23,7 +23,7 @@ def wait_command(
         AwaitedState, Option("--for", metavar="STATE", help="ready, completed or gone.")
     ] = AwaitedState.READY,
     timeout: Annotated[str, Option("--timeout", metavar="TIME", help="How long to wait.")] = "60s",
-    every: options.EveryOption = "1s",
+    every: Annotated[str, Option("--every", metavar="TIME", help="Time between probes.")] = "1s",
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     output: options.NamedOutput = OutputFormat.TABLE,

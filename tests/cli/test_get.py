@@ -139,9 +139,9 @@ def test_top_w_draws_in_place_and_leaves_the_terminal_as_it_was(site: Path, end:
         assert terminal.wait() == 0
         shown, _, after = terminal.seen.rpartition("\x1b[?25h\x1b[?1049l")
         assert "robot3" in shown
-        assert re.sub(r"\x1b\[\d+m", "", after).splitlines()[0].split()[:2] == ["HOST", "STATUS"], (
-            "the last look stays"
-        )
+        fleet, heading, *_ = re.sub(r"\x1b\[\d+m", "", after).splitlines()
+        assert fleet.startswith("Fleet demo-")
+        assert heading.split()[:2] == ["HOST", "STATUS"], "the last look stays"
 
 
 def test_describe_ends_with_the_last_events(run: Run, site: Path) -> None:
