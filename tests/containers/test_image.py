@@ -31,7 +31,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[DockerEngi
     """An engine with the image ``edgectl``, and what the build has printed."""
     assert not (lacking := find_missing_for_containers()), lacking
     folder = tmp_path_factory.mktemp("image")
-    with docker_engine(folder / "engine", connected=True) as engine:
+    with docker_engine(folder / "engine", builds=True) as engine:
         env = {**os.environ, **engine.environment, "DOCKER_BUILDKIT": "0"}
         found = re.search(
             r"^ARG PYTHON=docker\.io/library/(\S+)$", (ROOT / ".ci/Containerfile").read_text(), re.M
