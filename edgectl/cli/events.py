@@ -93,7 +93,9 @@ def events_command(
         with catch_stop_signals(_POLL_INTERVAL_S) as end:
             batches = enumerate(follow_events(fleet, wanted, end))
             console.print_view_series(
-                (EventsView(found, stream=True, first=number == 0) for number, found in batches), output
+                (EventsView(found, stream=True, first=number == 0) for number, found in batches),
+                output,
+                fleet=fleet.inventory.fleet,
             )
         return
     found = list_events(fleet, wanted)

@@ -144,6 +144,17 @@ def test_top_w_draws_in_place_and_leaves_the_terminal_as_it_was(site: Path, end:
         assert heading.split()[:2] == ["HOST", "STATUS"], "the last look stays"
 
 
+@pytest.mark.parametrize("words", ["get edges -w", "events -w"])
+def test_a_watched_list_names_its_fleet_once(site: Path, words: str) -> None:
+    env = {**os.environ, "TERM": "xterm", "NO_COLOR": "1"}
+    run_edgectl("probe", cwd=site).check_returncode()
+    with Terminal(words.split(), site, env=env) as terminal:
+        terminal.until("edge3" if "get" in words else "Fleet demo-")
+        terminal.process.send_signal(signal.SIGINT)
+        assert terminal.wait() == 0
+        assert len(re.findall(r"^Fleet demo-[0-9a-f]+\r?$", terminal.seen, re.MULTILINE)) == 1
+
+
 def test_describe_ends_with_the_last_events(run: Run, site: Path) -> None:
     text = run("describe", "edge", "edge1").out
     assert text.startswith("Name: ")
