@@ -230,9 +230,9 @@ TaskArgument = Annotated[
     ),
 ]
 TasksArgument = Annotated[
-    list[str],
+    list[str] | None,
     Argument(
-        metavar="TASK...",
+        metavar="[TASK...]",
         autocompletion=complete_tasks,
         parser=strip_task_kind,
         help="Names of tasks.",

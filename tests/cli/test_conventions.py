@@ -61,6 +61,18 @@ def test_names_are_taken_as_they_are_printed(hosts: FakeFleet, run: Run) -> None
     assert run("events", "--task", "task/yakk").err == "error: unknown task 'yakk'\nhint: did you mean yak?\n"
 
 
+def test_what_acts_on_tasks_takes_labels(hosts: FakeFleet, run: Run) -> None:
+    restarted = run("restart", "-l", "task!=zeta", "--yes", "-o", "name")
+    assert (restarted.code, restarted.out) == (0, "task/yak\n")
+    stopped = run("stop", "-l", "task=zeta", "--yes", "-o", "name")
+    assert (stopped.code, stopped.out, hosts.placed.keys()) == (0, "task/zeta\n", {"yak"})
+    assert run("wait", "-l", "task=zeta", "--for", "gone", "--every", "100ms").code == 0
+    started = run("start", "-l", "task=zeta", "--yes", "-o", "name")
+    assert (started.code, started.out, hosts.placed.keys()) == (0, "task/zeta\n", {"yak", "zeta"})
+    for words in ("stop", "stop --all -l task=zeta", "start", "restart", "wait"):
+        assert run(*words.split()).code == 64, words
+
+
 def test_top_is_sorted_and_cut_as_get_is(hosts: FakeFleet, run: Run) -> None:
     order = ["edge3", "edge2", "edge1"]
     said = run("top", "hosts", "--sort-by", "cpu.used_cores")
