@@ -33,7 +33,7 @@ test: style
 	@.ci/need-docker
 	@.ci/need-shells
 	@.ci/need-tlc
-	@PATH="$$PATH:/usr/sbin:/sbin" .ci/with-types $(PY) -m tests.suite tests --ignore=tests/benchmarks --ignore=tests/ros --ignore=tests/engines --ignore=tests/browser --ignore=tests/containers/test_lifecycle.py --ignore=tests/containers/test_losses.py --ignore=tests/containers/test_apply.py --ignore=tests/containers/test_swarm.py --ignore=tests/containers/test_swarm_moves.py -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+	@PATH="$$PATH:/usr/sbin:/sbin" .ci/with-types $(PY) -m tests.suite tests --ignore=tests/benchmarks --ignore=tests/ros --ignore=tests/engines --ignore=tests/browser --ignore=tests/containers/test_lifecycle.py --ignore=tests/containers/test_losses.py --ignore=tests/containers/test_apply.py --ignore=tests/containers/test_swarm.py --ignore=tests/containers/test_swarm_moves.py --ignore=tests/containers/test_image.py -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 # Tests without real hosts: rules, files, documents, views, and simulated fleets.
 PURE := config doctor experiments executor export formats fuzz gateway importers model rules scheduler simulation state tui usecases views web test_rooms.py
@@ -101,7 +101,7 @@ sensitivity: setup
 	@$(PY) -m tests.experiments.sensitivity
 
 # Tasks in containers of a real Docker Engine (root), whose programs it takes out of Debian's packages: docs/concepts/containers.md.
-# A short form runs in the suite.
+# A short form runs in the suite. Then the image of edgectl itself, on a base of Debian's packages.
 containers: setup
 	@.ci/need-docker
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite tests/containers -n 0
@@ -155,7 +155,7 @@ model: setup
 docs: setup
 	@.venv/bin/zensical build --strict --clean -f .mkdocs.yml
 
-# The container image, where a builder and a registry of base images can be reached; make image BUILDER=docker.
+# The container image, where a builder and a registry of base images can be reached, else .ci/base-image; make image BUILDER=docker.
 BUILDER ?= podman
 image:
 	@$(BUILDER) build --file .ci/Containerfile --tag edgectl .

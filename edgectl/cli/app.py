@@ -54,7 +54,7 @@ COMMANDS = {
     ),
     "stop": CommandEntry("cli.stop", "Operate", "Stop tasks."),
     "start": CommandEntry("cli.stop", "Operate", "Start tasks that are stopped, failed or completed."),
-    "restart": CommandEntry("cli.stop", "Operate", "Restart a task in place."),
+    "restart": CommandEntry("cli.stop", "Operate", "Restart tasks in place."),
     "move": CommandEntry("cli.pins", "Operate", "Pin a task to a host, for a time or until unpinned."),
     "unpin": CommandEntry("cli.pins", "Operate", "Let tasks be placed by utility again."),
     "rollback": CommandEntry("cli.history", "Operate", "Restore the placement of an earlier revision."),

@@ -2,7 +2,7 @@
 """Shell completion from local files; no host is contacted."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +11,11 @@ from edgectl.errors import EdgectlError
 
 if TYPE_CHECKING:
     from edgectl.cli.project import ChosenFiles
+    from edgectl.cli.selector import Labels
     from edgectl.model.task import Task
+
+# The kinds of which get lists hosts, in all their forms.
+_HOST_KINDS = frozenset(("hosts", "host", "h", "edges", "edge", "e", "robots", "robot", "r", "all"))
 
 
 def complete_hosts(incomplete: str) -> list[str]:
@@ -31,17 +35,39 @@ def complete_tasks(incomplete: str) -> list[str]:
 
 
 def complete_labels(incomplete: str) -> list[str]:
-    """Labels of the tasks, and those that follow from their files, as key=value; after a comma, one more."""
-    from edgectl.cli.task_names import label_task
-
+    """Labels of the tasks, or of the hosts that get lists, and those that follow from the files, as
+    key=value; after a comma, one more.
+    """
     done, comma, begun = incomplete.rpartition(",")
+    words = _split_completed_line()
+    hosts = "get" in words and not _HOST_KINDS.isdisjoint(words)
+    labels = list(_list_host_labels()) if hosts else []
+    if not hosts or "all" in words:
+        labels += _list_task_labels()
     found = {
         f"{key}={value}"
-        for task in _load_named_tasks().values()
-        for key, values in label_task(task).items()
+        for each in labels
+        for key, values in each.items()
         for value in ([values] if isinstance(values, str) else values)
     }
     return [done + comma + label for label in sorted(found) if label.startswith(begun)]
+
+
+def _list_task_labels() -> "Iterable[Labels]":
+    from edgectl.cli.task_names import label_task
+
+    return map(label_task, _load_named_tasks().values())
+
+
+def _list_host_labels() -> "Iterator[Labels]":
+    from edgectl.config.load import load_inventory
+
+    try:
+        inventory = load_inventory(_choose_named_files().inventories)
+    except EdgectlError:
+        return
+    for host in inventory.hosts.values():
+        yield {"host": host.name, "kind": host.role.value, **host.labels}
 
 
 def complete_weights(incomplete: str) -> list[str]:

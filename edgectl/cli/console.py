@@ -44,13 +44,18 @@ def print_notes(lines: Iterable[str]) -> None:
     print_stderr(render_notes(lines, get_stderr_render_options()))
 
 
-def print_view_series(views: "Iterable[View]", form: "OutputFormat") -> None:
-    """Print one view after the other, until the reader closes stdout. JSON is one object per line."""
+def print_view_series(views: "Iterable[View]", form: "OutputFormat", *, fleet: str = "") -> None:
+    """Print one view after the other, until the reader closes stdout. JSON is one object per line.
+
+    ``fleet``: as of ``print_view``, once.
+    """
     from edgectl.views.output import render_view
-    from edgectl.views.output_format import OutputFormat
-    from edgectl.views.text import detect_render_options
+    from edgectl.views.output_format import HUMAN_FORMATS, OutputFormat
+    from edgectl.views.text import detect_render_options, render_fleet_line
 
     shown = OutputFormat.JSONL if form is OutputFormat.JSON else form
+    if fleet and form in HUMAN_FORMATS:
+        print_text(render_fleet_line(fleet, detect_render_options(sys.stdout)))
     for view in views:
         if not print_part(render_view(view, shown, detect_render_options(sys.stdout))):
             return

@@ -103,5 +103,5 @@ def _run_action(
             console.print_text(f"# {name}\n{build_script(fleet, name, action)}")
         return
     found = ask_counters(fleet, hosts, action)
-    console.print_view(ByteCountersView(found), output)
+    console.print_view(ByteCountersView(found), output, fleet=fleet.inventory.fleet)
     raise Exit(exit_codes.of_counters(found))

@@ -85,7 +85,7 @@ def _describe_host(
     snapshot = probe_fleet(fleet)
     happened = load_last_events(fleet, _EVENT_COUNT, host=name)
     view = HostDetailsView(name, snapshot, fleet.inventory, fleet.tasks, happened)
-    console.print_view(view, output)
+    console.print_view(view, output, fleet=fleet.inventory.fleet)
     raise Exit(exit_codes.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable))
 
 
@@ -118,7 +118,7 @@ def describe_task_command(
     step = next((each for each in decided.steps if each.task == task), None)
     happened = load_last_events(fleet, _EVENT_COUNT, task=task)
     view = TaskDetailsView(task, snapshot, fleet.inventory, fleet.tasks, step, happened)
-    console.print_view(view, output)
+    console.print_view(view, output, fleet=fleet.inventory.fleet)
     raise Exit(exit_codes.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable))
 
 

@@ -40,6 +40,6 @@ def diff_command(
     require_solver(how)
     seen = load_snapshot(snapshot) if snapshot else None
     plan = choose(make_plan(fleet, how, snapshot=seen, recorded=False))
-    console.print_view(DiffView(plan), output)
+    console.print_view(DiffView(plan), output, fleet=fleet.inventory.fleet)
     code = exit_codes.of_plan(plan, detailed=False, allow_unreachable=allow_unreachable)
     raise Exit(code or (ExitCode.FAILED if plan.changes else ExitCode.DONE))

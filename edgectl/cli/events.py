@@ -9,6 +9,7 @@ from typer import Argument, Exit, Option
 from edgectl.cli import console, options
 from edgectl.cli.completion import complete_hosts, complete_tasks
 from edgectl.cli.signals import catch_stop_signals
+from edgectl.cli.task_names import check_task_names, expand_task_names
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import ExitCode, UsageError
 from edgectl.model.event import EventKind
@@ -19,11 +20,23 @@ from edgectl.views.output_format import OutputFormat
 _POLL_INTERVAL_S = 1.0
 _HostOption = Annotated[
     str | None,
-    Option("--host", metavar="HOST", autocompletion=complete_hosts, help="Only events of this host."),
+    Option(
+        "--host",
+        metavar="HOST",
+        autocompletion=complete_hosts,
+        parser=options.strip_host_kind,
+        help="Only events of this host.",
+    ),
 ]
 _TaskOption = Annotated[
     str | None,
-    Option("--task", metavar="TASK", autocompletion=complete_tasks, help="Only events of this task."),
+    Option(
+        "--task",
+        metavar="TASK",
+        autocompletion=complete_tasks,
+        parser=options.strip_task_kind,
+        help="Only events of this task.",
+    ),
 ]
 
 
@@ -46,6 +59,7 @@ def events_command(
     task: _TaskOption = None,
     watch: Annotated[bool, Option("--watch", "-w", help="Keep watching until Ctrl-C.")] = False,
     kind: _KindOption = None,
+    dry_run: Annotated[bool, Option("--dry-run", help="With test: only print the programs.")] = False,
 ) -> None:
     """List recent events: hosts lost and back, tasks started, moved, failed, and the actions of apply. No
     host is contacted.
@@ -65,43 +79,55 @@ def events_command(
     from edgectl.views.output_format import STREAM_FORMATS, check_output_format
 
     if action is not None:
-        raise Exit(_test_hooks(build_fleet(load_inputs(inventory, tasks, needs_tasks=False)), kind, output))
+        fleet = build_fleet(load_inputs(inventory, tasks, needs_tasks=False))
+        raise Exit(_test_hooks(fleet, kind, output, dry_run=dry_run))
     if watch:
         check_output_format(output, STREAM_FORMATS)
     fleet = build_fleet(load_inputs(inventory, tasks))
-    wanted = EventFilter(since=time.time() - parse_duration_option(since, "--since"), host=host, task=task)
+    wanted = EventFilter(
+        since=time.time() - parse_duration_option(since, "--since"),
+        host=host,
+        tasks=tuple(expand_task_names([task] if task else [], fleet.tasks)),
+    )
     if watch:
         with catch_stop_signals(_POLL_INTERVAL_S) as end:
             batches = enumerate(follow_events(fleet, wanted, end))
             console.print_view_series(
-                (EventsView(found, stream=True, first=number == 0) for number, found in batches), output
+                (EventsView(found, stream=True, first=number == 0) for number, found in batches),
+                output,
+                fleet=fleet.inventory.fleet,
             )
         return
     found = list_events(fleet, wanted)
     if not found:
         # Checked late: hosts and tasks that left the files have a history, too.
         check_known_names([host] if host else [], fleet.inventory.hosts, "host")
-        check_known_names([task] if task else [], fleet.tasks.tasks, "task")
-    console.print_view(EventsView(found), output)
+        check_task_names([task] if task else [], fleet.tasks)
+    console.print_view(EventsView(found), output, fleet=fleet.inventory.fleet)
 
 
-def _test_hooks(fleet: Fleet, kind: EventKind | None, output: OutputFormat) -> ExitCode:
+def _test_hooks(fleet: Fleet, kind: EventKind | None, output: OutputFormat, *, dry_run: bool) -> ExitCode:
     """Run each hook once and print how it ended.
 
     Raises:
         UsageError: no hook would run.
     """
-    from edgectl.usecases.event_delivery import run_hook_trials
-    from edgectl.views.hook_trials import HookTrialsView
+    from edgectl.usecases.event_delivery import list_tested_hooks, run_hook_trials
+    from edgectl.views.hook_trials import HookTrialsView, name_program
 
-    trials = run_hook_trials(fleet, kind)
-    if not trials:
+    hooks = list_tested_hooks(fleet, kind)
+    if not hooks:
         raise UsageError(
-            "no program of on_event wants this event"
+            "no program of on_event receives this event"
             if fleet.inventory.on_event
             else "no on_event is stated",
             hint="add on_event: [{command: [..]}] to the inventory",
         )
+    if dry_run:
+        for hook in hooks:
+            console.print_text(f"{name_program(hook)} run{options.DRY_RUN_SUFFIX}\n")
+        return ExitCode.DONE
+    trials = run_hook_trials(fleet, kind)
     rows = [(trial.hook, trial.failure, trial.seconds) for trial in trials]
-    console.print_view(HookTrialsView(rows), output)
+    console.print_view(HookTrialsView(rows), output, fleet=fleet.inventory.fleet)
     return ExitCode.FAILED if any(trial.failure for trial in trials) else ExitCode.DONE

@@ -97,6 +97,6 @@ def explain_command(
         task=stated,
         carried=carried,
     )
-    console.print_view(view, output)
+    console.print_view(view, output, fleet=fleet.inventory.fleet)
     console.print_notes(list_lost_task_notes(made.snapshot, {task}) + list_slack_notes(made, {task}))
     raise Exit(exit_codes.of_plan(made, detailed=False, allow_unreachable=allow_unreachable))

@@ -110,7 +110,8 @@ def get_command(
         check_output_format(output, NAMED_STREAM_FORMATS)
         with catch_stop_signals(period) as end:
             found = (build(kinds[0], seen) for seen in probe_repeatedly(fleet, end))
-            console.print_view_series(_stream_listing_changes(found), output)
+            name = "" if no_headers else fleet.inventory.fleet
+            console.print_view_series(_stream_listing_changes(found), output, fleet=name)
         return
     snapshot = probe_fleet(fleet)
     listings = [build(wanted, snapshot) for wanted in kinds]

@@ -20,7 +20,7 @@ def graph_command(
     allow_unreachable: options.AllowUnreachableOption = False,
     accept_new: options.AcceptNewOption = False,
 ) -> None:
-    """Export the task graph with the hosts of the plan as Mermaid or DOT.
+    """Export the task graph with the hosts of the plan as Mermaid or DOT, or as data.
 
     Examples:
         edgectl graph
@@ -31,8 +31,7 @@ def graph_command(
     from edgectl.cli.policy_options import policy_from_options
     from edgectl.config.documents import load_snapshot
     from edgectl.usecases.plan import is_what_if, make_plan
-    from edgectl.views.graph import build_task_graph
-    from edgectl.views.notes import list_snapshot_notes
+    from edgectl.views.graph import TaskGraphView, build_task_graph
 
     loaded = load_inputs(inventory, tasks)
     fleet = build_offline_fleet(loaded) if snapshot else build_fleet(loaded, accept_new=accept_new)
@@ -44,7 +43,11 @@ def graph_command(
         snapshot=load_snapshot(snapshot) if snapshot else None,
         recorded=not is_what_if(fleet, how),
     )
-    drawn = build_task_graph(made, loaded.tasks)
-    console.print_text(drawn.mermaid() if output is OutputFormat.MERMAID else drawn.dot())
-    console.print_notes(list_snapshot_notes(made.snapshot))
+    view = TaskGraphView(made, loaded.tasks)
+    if output in (OutputFormat.MERMAID, OutputFormat.DOT):
+        drawn = build_task_graph(made, loaded.tasks)
+        console.print_text(drawn.mermaid() if output is OutputFormat.MERMAID else drawn.dot())
+        console.print_notes(view.notes())
+    else:
+        console.print_view(view, output)
     raise Exit(exit_codes.of_plan(made, detailed=False, allow_unreachable=allow_unreachable))

@@ -28,7 +28,8 @@ def history_command(
     from edgectl.usecases.history import list_revisions
     from edgectl.views.history import HistoryView
 
-    console.print_view(HistoryView(list_revisions(build_fleet(load_inputs(inventory, tasks)))), output)
+    fleet = build_fleet(load_inputs(inventory, tasks))
+    console.print_view(HistoryView(list_revisions(fleet)), output, fleet=fleet.inventory.fleet)
 
 
 def show_command(
@@ -64,8 +65,9 @@ def show_command(
 
     if what.isdecimal():
         check_output_format(output, RevisionView.formats)
-        found = get_revision(build_fleet(load_inputs(inventory, tasks)), int(what))
-        console.print_view(RevisionView(found), output)
+        fleet = build_fleet(load_inputs(inventory, tasks))
+        found = get_revision(fleet, int(what))
+        console.print_view(RevisionView(found), output, fleet=fleet.inventory.fleet)
         return
     saved = load_plan(Path(what))
     console.print_view(PlanView(saved), output)

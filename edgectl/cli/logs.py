@@ -7,10 +7,9 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
-from typer import Argument, Exit, Option
+from typer import Exit, Option
 
 from edgectl.cli import console, options
-from edgectl.cli.completion import complete_tasks
 from edgectl.cli.task_names import select_task_names
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import EdgectlError, ExitCode, UsageError
@@ -24,16 +23,7 @@ _DEFAULT_TAIL = 100
 
 def logs_command(
     *,
-    names: Annotated[
-        list[str] | None,
-        Argument(
-            metavar="[TASK...]",
-            autocompletion=complete_tasks,
-            parser=options.strip_task_kind,
-            help="Names of tasks.",
-            show_default=False,
-        ),
-    ] = None,
+    names: options.TasksArgument = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     selector: options.SelectorOption = None,

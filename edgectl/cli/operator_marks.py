@@ -7,11 +7,12 @@ from typing import Annotated
 from typer import Exit, Option
 
 from edgectl.cli import apply_session, console, options
-from edgectl.cli.task_names import expand_task_names
+from edgectl.cli.task_names import select_task_names
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import ExitCode
 from edgectl.model.inventory import Inventory
 from edgectl.names import check_known_names
+from edgectl.units import format_duration
 
 
 def cordon_command(
@@ -85,6 +86,11 @@ def fence_command(
 
     fleet = build_fleet(load_inputs(inventory, tasks))
     check_known_names([host], operator_marks.list_fenceable_hosts(fleet), "host")
+    silence_s = operator_marks.compute_silence_s(fleet, host)
+    if silence_s is not None:
+        console.print_message(
+            f"note: {host} last answered {format_duration(silence_s)} ago; the fence ends when it answers"
+        )
     if dry_run:
         return _report_hosts([host], fleet.inventory, "fenced", dry_run=True)
     apply_session.check_can_confirm(asked=not yes, first="check first: edgectl fence --dry-run")
@@ -120,7 +126,8 @@ def unfence_command(
 
 def done_command(
     *,
-    names: options.TasksArgument,
+    names: options.TasksArgument = None,
+    selector: options.SelectorOption = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     dry_run: options.DryRunMarkOption = False,
@@ -134,16 +141,17 @@ def done_command(
     from edgectl.usecases import operator_marks
 
     fleet = build_fleet(load_inputs(inventory, tasks))
-    names = expand_task_names(names, fleet.tasks)
-    check_known_names(names, fleet.tasks.tasks, "task")
+    chosen = select_task_names(names or (), selector, fleet.tasks)
+    check_known_names(chosen, fleet.tasks.tasks, "task")
     if not dry_run:
-        operator_marks.mark_tasks_done(fleet, names)
-    _report_tasks(names, "marked as done", dry_run=dry_run)
+        operator_marks.mark_tasks_done(fleet, chosen)
+    _report_tasks(chosen, "marked as done", dry_run=dry_run)
 
 
 def reopen_command(
     *,
-    names: options.TasksArgument,
+    names: options.TasksArgument = None,
+    selector: options.SelectorOption = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     dry_run: options.DryRunMarkOption = False,
@@ -158,10 +166,10 @@ def reopen_command(
     from edgectl.usecases import operator_marks
 
     fleet = build_fleet(load_inputs(inventory, tasks))
-    names = expand_task_names(names, fleet.tasks)
-    check_known_names(names, fleet.tasks.tasks, "task")
-    silent = frozenset() if dry_run else operator_marks.reopen_tasks(fleet, names)
-    _report_tasks(names, "reopened", dry_run=dry_run)
+    chosen = select_task_names(names or (), selector, fleet.tasks)
+    check_known_names(chosen, fleet.tasks.tasks, "task")
+    silent = frozenset() if dry_run else operator_marks.reopen_tasks(fleet, chosen)
+    _report_tasks(chosen, "reopened", dry_run=dry_run)
     raise Exit(ExitCode.PARTLY if silent else ExitCode.DONE)
 
 

@@ -79,6 +79,17 @@ def build_output_option(forms: Formats) -> object:
     )
 
 
+def strip_host_kind(word: str) -> str:
+    """The name of a host that may be given as ``-o name`` prints it: ``edge/NAME``, ``robot/NAME``."""
+    kind, slash, name = word.partition("/")
+    return name if slash and kind in ("edge", "robot", "host") else word
+
+
+def strip_task_kind(word: str) -> str:
+    """The name of a task that may be given as ``-o name`` prints it, ``task/NAME``."""
+    return word.removeprefix("task/")
+
+
 PlanOutput = Annotated[OutputFormat, build_output_option(PLAN_FORMATS)]
 FleetOutput = Annotated[OutputFormat, build_output_option(FLEET_FORMATS)]
 WideOutput = Annotated[OutputFormat, build_output_option(WIDE_FORMATS)]
@@ -126,6 +137,7 @@ WithoutOption = Annotated[
         "--without",
         metavar="HOST",
         autocompletion=complete_hosts,
+        parser=strip_host_kind,
         help="Plan as if this host were gone; repeatable.",
     ),
 ]
@@ -186,13 +198,6 @@ AcceptNewOption = Annotated[
     bool, Option("--accept-new", help="Trust hosts with unknown keys, as OpenSSH does.")
 ]
 
-
-def strip_host_kind(word: str) -> str:
-    """The name of a host that may be given as ``-o name`` prints it: ``edge/NAME``, ``robot/NAME``."""
-    kind, slash, name = word.partition("/")
-    return name if slash and kind in ("edge", "robot", "host") else word
-
-
 HostsArgument = Annotated[
     list[str],
     Argument(
@@ -214,12 +219,6 @@ HostArgument = Annotated[
     ),
 ]
 
-
-def strip_task_kind(word: str) -> str:
-    """The name of a task that may be given as ``-o name`` prints it, ``task/NAME``."""
-    return word.removeprefix("task/")
-
-
 TaskArgument = Annotated[
     str,
     Argument(
@@ -231,9 +230,9 @@ TaskArgument = Annotated[
     ),
 ]
 TasksArgument = Annotated[
-    list[str],
+    list[str] | None,
     Argument(
-        metavar="TASK...",
+        metavar="[TASK...]",
         autocompletion=complete_tasks,
         parser=strip_task_kind,
         help="Names of tasks.",

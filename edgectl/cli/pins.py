@@ -6,7 +6,7 @@ from typing import Annotated
 from typer import Exit, Option
 
 from edgectl.cli import console, exit_codes, options
-from edgectl.cli.task_names import expand_task_names, resolve_task_name
+from edgectl.cli.task_names import resolve_task_name, select_task_names
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import ExitCode
 
@@ -54,7 +54,8 @@ def move_command(
 
 def unpin_command(
     *,
-    names: options.TasksArgument,
+    names: options.TasksArgument = None,
+    selector: options.SelectorOption = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     dry_run: options.DryRunMarkOption = False,
@@ -68,7 +69,8 @@ def unpin_command(
     from edgectl.usecases.pins import unpin_tasks
 
     fleet = build_fleet(load_inputs(inventory, tasks))
-    found = unpin_tasks(fleet, expand_task_names(names, fleet.tasks), dry_run=dry_run)
+    chosen = select_task_names(names or (), selector, fleet.tasks)
+    found = unpin_tasks(fleet, chosen, dry_run=dry_run)
     for name, pinned in found.items():
         act = "unpinned" if pinned else "was not pinned by edgectl move"
         console.print_text(f"task/{name} {act}{options.DRY_RUN_SUFFIX if dry_run else ''}\n")

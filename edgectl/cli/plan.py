@@ -114,7 +114,7 @@ def _watch_plans(
             plan = choose(make_plan(fleet, how, snapshot=snapshot, recorded=False))
             decided = [(step.task, step.action, step.decision.host, step.stop) for step in plan.steps]
             if decided != before:
-                yield PlanView(plan)
+                yield PlanView(plan, fleet=fleet.inventory.fleet, now=fleet.clock())
             before = decided
 
     with catch_stop_signals(parse_every_option(every)) as end:

@@ -136,7 +136,9 @@ def _filter_plan(plan: Plan, wanted: frozenset[str], *, quiet: bool) -> Plan:
     left = sum(step.changes for step in plan.steps) - sum(step.changes for step in chosen.steps)
     if left and not quiet:
         console.print_message(
-            f"warning: {left} other changes are left out, although this plan depends on them"
+            "warning: 1 other change is left out, although this plan depends on it"
+            if left == 1
+            else f"warning: {left} other changes are left out, although this plan depends on them"
         )
     return chosen
 

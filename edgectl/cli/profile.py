@@ -21,6 +21,7 @@ def profile_command(
         str | None, Option("--service", metavar="METRIC", help="Show its service time by this metric in ms.")
     ] = None,
     yes: options.YesOption = False,
+    dry_run: Annotated[bool, Option("--dry-run", help="With --write: only print the change.")] = False,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     output: options.ItemOutput = OutputFormat.TABLE,
@@ -42,14 +43,15 @@ def profile_command(
     from edgectl.usecases.profile import build_demand_edit, get_tasks_by_name
     from edgectl.views.profile import ProfileView, list_service_lines
 
-    apply_session.check_can_confirm(asked=write and not yes, first="check first: edgectl profile TASK")
+    first = "check first: edgectl profile TASK --write --dry-run"
+    apply_session.check_can_confirm(asked=write and not (yes or dry_run), first=first)
     files = list_task_files(choose_files(inventory, tasks))
     fleet = build_fleet(load_inputs(inventory, files))
     check_known_names(
         [task], [*fleet.tasks.tasks, *(each.template for each in fleet.tasks.tasks.values())], "task"
     )
     named = get_tasks_by_name(fleet.tasks, task)
-    console.print_view(ProfileView(load_class_profiles(fleet, named)), output)
+    console.print_view(ProfileView(load_class_profiles(fleet, named)), output, fleet=fleet.inventory.fleet)
     if service is not None:
         for line in list_service_lines(named, service, load_service_times(fleet, named, service)):
             console.print_message(line)
@@ -64,8 +66,10 @@ def profile_command(
             f"{change.entry} is one entry for {', '.join(change.tasks)}: it gets the maximum of their p95"
         )
     console.print_stderr(change.diff())
+    if dry_run:
+        return
     if not yes and not apply_session.ask_confirmation(
-        f'Write this to {change.file}? Only "yes" is accepted: '
+        f'Write this to {change.file} of fleet {fleet.inventory.fleet}? Only "yes" is accepted: '
     ):
         raise Exit(ExitCode.FAILED)
     replace_file_text(change.file, change.before, change.after)

@@ -61,7 +61,7 @@ def profilers_start_command(
         every=parse_duration_option(every, "--every"),
         ttl=parse_duration_option(ttl, "--ttl"),
     )
-    console.print_view(ProfilersView(found), output)
+    console.print_view(ProfilersView(found), output, fleet=fleet.inventory.fleet)
     raise Exit(exit_codes.of_profilers(found))
 
 
@@ -81,8 +81,9 @@ def profilers_status_command(
     from edgectl.usecases.profilers import list_profilers
     from edgectl.views.profilers import ProfilersView
 
-    found = list_profilers(build_fleet(load_inputs(inventory, tasks)), hosts or ())
-    console.print_view(ProfilersView(found), output)
+    fleet = build_fleet(load_inputs(inventory, tasks))
+    found = list_profilers(fleet, hosts or ())
+    console.print_view(ProfilersView(found), output, fleet=fleet.inventory.fleet)
     raise Exit(exit_codes.of_profilers(found))
 
 
@@ -107,7 +108,7 @@ def profilers_stop_command(
     if dry_run:
         _print_present(fleet, hosts or (), "stop", output)
     found = stop_profilers(fleet, hosts or ())
-    console.print_view(ProfilersView(found), output)
+    console.print_view(ProfilersView(found), output, fleet=fleet.inventory.fleet)
     raise Exit(exit_codes.of_profilers(found))
 
 
@@ -118,7 +119,7 @@ def _print_present(fleet: "Fleet", hosts: Sequence[str], verb: str, output: Outp
     from edgectl.views.profilers import ProfilersView
 
     found = list_profilers(fleet, hosts)
-    console.print_view(ProfilersView(found), output)
+    console.print_view(ProfilersView(found), output, fleet=fleet.inventory.fleet)
     for each in found:
         running = each.state in (ProfilerState.RUNNING, ProfilerState.STALLED)
         changes = running if verb == "stop" else not (running and each.current)

@@ -3,11 +3,10 @@
 
 from typing import Annotated
 
-from typer import Argument, Exit, Option
+from typer import Exit, Option
 
 from edgectl.cli import console, exit_codes, options
-from edgectl.cli.completion import complete_tasks as task_names
-from edgectl.cli.task_names import expand_task_names, resolve_task_name
+from edgectl.cli.task_names import select_task_names
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import ExitCode, UsageError
 from edgectl.model.plan import Action
@@ -16,16 +15,8 @@ from edgectl.views.output_format import OutputFormat
 
 def stop_command(
     *,
-    names: Annotated[
-        list[str] | None,
-        Argument(
-            metavar="[TASK...]",
-            autocompletion=task_names,
-            parser=options.strip_task_kind,
-            help="Names of tasks.",
-            show_default=False,
-        ),
-    ] = None,
+    names: options.TasksArgument = None,
+    selector: options.SelectorOption = None,
     every: Annotated[bool, Option("--all", help="Every running task on every host.")] = False,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
@@ -49,34 +40,35 @@ def stop_command(
     from edgectl.usecases.stop import stop_tasks
     from edgectl.views.other_tasks import describe_absence
 
-    if bool(names) == every:
-        raise UsageError("name tasks, or pass --all", hint="list running tasks: edgectl status")
+    if (bool(names) or selector is not None) == every:
+        raise UsageError("name tasks, or pass -l LABELS or --all", hint="list running tasks: edgectl status")
     first = "check first: edgectl stop --dry-run"
     asked = apply_session.check_can_confirm(asked=not (yes or dry_run), first=first)
     fleet = build_fleet(load_inputs(inventory, tasks))
-    names = expand_task_names(names or (), fleet.tasks)
+    chosen = () if every else select_task_names(names or (), selector, fleet.tasks)
     with apply_session.open_apply_session(
         quiet=False, output=output, asked=asked, dry_run=dry_run, fleet=fleet.inventory.fleet
     ) as act:
-        chosen = act.options(
+        how = act.options(
             lock_timeout=parse_lock_timeout(lock_timeout),
             max_parallel=max_parallel,
             fail_fast=fail_fast,
         )
-        applied = stop_tasks(fleet, names or None, act.confirm, chosen)
+        applied = stop_tasks(fleet, chosen or None, act.confirm, how)
     if dry_run:
         apply_session.print_requests(fleet, applied.plan, output)
     act.report(applied)
     planned = {step.task for step in applied.plan.steps}
-    for name in dict.fromkeys(names or ()):
+    for name in dict.fromkeys(chosen):
         if name not in planned:
             console.print_message(describe_absence(name, applied.plan.snapshot))
-    raise Exit(exit_codes.of_named(applied, names or None))
+    raise Exit(exit_codes.of_named(applied, chosen or None))
 
 
 def start_command(
     *,
-    names: options.TasksArgument,
+    names: options.TasksArgument = None,
+    selector: options.SelectorOption = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     output: options.NamedOutput = OutputFormat.TABLE,
@@ -100,14 +92,14 @@ def start_command(
     asked = apply_session.check_can_confirm(asked=not (yes or dry_run), first=first)
     loaded = load_inputs(inventory, tasks)
     fleet = build_fleet(loaded)
-    names = expand_task_names(names, fleet.tasks)
+    chosen = select_task_names(names or (), selector, fleet.tasks)
     with apply_session.open_apply_session(
         quiet=False, output=output, asked=asked, dry_run=dry_run, fleet=fleet.inventory.fleet
     ) as act:
         applied = start_tasks(
             fleet,
             loaded.tasks.policy,
-            names,
+            chosen,
             act.confirm,
             act.options(lock_timeout=parse_lock_timeout(lock_timeout)),
         )
@@ -115,12 +107,13 @@ def start_command(
         raise Exit(apply_session.print_requests(fleet, applied.plan, output))
     act.report(applied)
     without = any(step.action in (Action.UNPLACED, Action.HOLD) for step in applied.plan.steps)
-    raise Exit(exit_codes.of_named(applied, names) or (ExitCode.PARTLY if without else ExitCode.DONE))
+    raise Exit(exit_codes.of_named(applied, chosen) or (ExitCode.PARTLY if without else ExitCode.DONE))
 
 
 def restart_command(
     *,
-    task: options.TaskArgument,
+    names: options.TasksArgument = None,
+    selector: options.SelectorOption = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     output: options.NamedOutput = OutputFormat.TABLE,
@@ -128,7 +121,7 @@ def restart_command(
     dry_run: options.DryRunOption = False,
     lock_timeout: options.LockTimeoutOption = None,
 ) -> None:
-    """Stop a task and start it again on the same host; or start one that failed for good.
+    """Stop tasks and start each again on its host; or start those that failed for good.
 
     Examples:
         edgectl restart slam-robot1 --yes
@@ -136,22 +129,22 @@ def restart_command(
     """
     from edgectl.cli import apply_session
     from edgectl.cli.connect import build_fleet, parse_lock_timeout
-    from edgectl.usecases.stop import restart_task
+    from edgectl.usecases.stop import restart_tasks
 
     first = "check first: edgectl restart --dry-run"
     asked = apply_session.check_can_confirm(asked=not (yes or dry_run), first=first)
     fleet = build_fleet(load_inputs(inventory, tasks))
-    task = resolve_task_name(task, fleet.tasks)
+    chosen = select_task_names(names or (), selector, fleet.tasks)
     with apply_session.open_apply_session(
         quiet=False, output=output, asked=asked, dry_run=dry_run, fleet=fleet.inventory.fleet
     ) as act:
-        applied = restart_task(
+        applied = restart_tasks(
             fleet,
-            task,
+            chosen,
             act.confirm,
             act.options(lock_timeout=parse_lock_timeout(lock_timeout)),
         )
     if dry_run:
         raise Exit(apply_session.print_requests(fleet, applied.plan, output))
     act.report(applied)
-    raise Exit(exit_codes.of_named(applied, [task]))
+    raise Exit(exit_codes.of_named(applied, chosen))

@@ -165,23 +165,25 @@ def _watch_top(fleet: "Fleet", what: str, output: OutputFormat, every: float, lo
     with catch_stop_signals(every) as end:
         views = (_build_view(quiet, what, snapshot, look) for snapshot in probe_repeatedly(quiet, end))
         if in_place:
-            _redraw_screen(views, output)
+            _redraw_screen(views, output, fleet.inventory.fleet if look.headers else "")
         else:
             console.print_view_series(views, output)
     for text in warnings:
         console.print_message(f"warning: {text}")
 
 
-def _redraw_screen(views: "Iterator[View]", output: OutputFormat) -> None:
+def _redraw_screen(views: "Iterator[View]", output: OutputFormat, name: str) -> None:
+    """``name``: of the fleet, above each table; "" for none."""
     from edgectl.cli.terminal import listen_for_keys, open_screen
     from edgectl.views.notes import render_notes
     from edgectl.views.output import render_view
-    from edgectl.views.text import detect_render_options
+    from edgectl.views.text import detect_render_options, render_fleet_line
 
     with listen_for_keys(_quit_on_q), open_screen() as show:
         for view in views:
             look = detect_render_options(sys.stdout)
-            show(render_view(view, output, look) + render_notes(view.notes(), look))
+            head = render_fleet_line(name, look) if name else ""
+            show(head + render_view(view, output, look) + render_notes(view.notes(), look))
 
 
 def _quit_on_q(key: str) -> None:

@@ -67,7 +67,7 @@ def trust_command(
         for each in unknown:
             console.print_message(f"{each.host.name}: would be recorded (dry run)")
     elif unknown and not yes:
-        _ask_to_trust(unknown)
+        _ask_to_trust(unknown, fleet.fleet)
     recorded = [not dry_run and _record_key(each) for each in unknown]
     settled = all(each.verdict in (HostKeyVerdict.KNOWN, HostKeyVerdict.UNKNOWN) for each in shown)
     raise Exit(ExitCode.DONE if settled and all(recorded) else ExitCode.PARTLY)
@@ -87,7 +87,7 @@ def _report_key(shown: "ShownKey") -> HostKeyReport:
     )
 
 
-def _ask_to_trust(unknown: "Sequence[ShownKey]") -> None:
+def _ask_to_trust(unknown: "Sequence[ShownKey]", fleet: str) -> None:
     from edgectl.transport.trust import get_public_key_path
 
     names = [each.host.name for each in unknown]
@@ -96,8 +96,8 @@ def _ask_to_trust(unknown: "Sequence[ShownKey]") -> None:
     compare = " && ".join(f"ssh-keygen -lf {get_public_key_path(kind)}" for kind in kinds)
     first = f"compare each fingerprint with the output of this command {where}: {compare}"
     apply_session.check_can_confirm(asked=True, first=first)
-    many = "it" if len(names) == 1 else f"these {len(names)}"
-    question = f'{first[0].upper()}{first[1:]}\nTrust {many}? Only "yes" is accepted: '
+    many = names[0] if len(names) == 1 else f"these {len(names)} hosts"
+    question = f'{first[0].upper()}{first[1:]}\nTrust {many} of fleet {fleet}? Only "yes" is accepted: '
     if not apply_session.ask_confirmation(question):
         raise Exit(ExitCode.FAILED)
 

@@ -7,7 +7,7 @@ from typer import Exit, Option
 
 from edgectl.cli import console, exit_codes, options
 from edgectl.cli.signals import catch_stop_signals, parse_every_option
-from edgectl.cli.task_names import expand_task_names
+from edgectl.cli.task_names import select_task_names
 from edgectl.cli.user_files import load_inputs
 from edgectl.rules.awaited_state import AwaitedState
 from edgectl.views.output_format import OutputFormat
@@ -18,12 +18,13 @@ if TYPE_CHECKING:
 
 def wait_command(
     *,
-    names: options.TasksArgument,
+    names: options.TasksArgument = None,
+    selector: options.SelectorOption = None,
     awaited: Annotated[
         AwaitedState, Option("--for", metavar="STATE", help="ready, completed or gone.")
     ] = AwaitedState.READY,
     timeout: Annotated[str, Option("--timeout", metavar="TIME", help="How long to wait.")] = "60s",
-    every: options.EveryOption = "1s",
+    every: Annotated[str, Option("--every", metavar="TIME", help="Time between probes.")] = "1s",
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     output: options.NamedOutput = OutputFormat.TABLE,
@@ -48,7 +49,7 @@ def wait_command(
 
     limit, period = parse_duration_option(timeout, "--timeout"), parse_every_option(every)
     fleet = build_fleet(load_inputs(inventory, tasks))
-    names = expand_task_names(names, fleet.tasks)
+    chosen = select_task_names(names or (), selector, fleet.tasks)
     with catch_stop_signals(period) as end:
         stopped = False
 
@@ -57,6 +58,6 @@ def wait_command(
             stopped = end()
             return stopped
 
-        found = wait_for_tasks(fleet, names, awaited, timeout_s=limit, pause=pause, report=report)
+        found = wait_for_tasks(fleet, chosen, awaited, timeout_s=limit, pause=pause, report=report)
     console.print_view(WaitView(found, awaited), output)
     raise Exit(exit_codes.of_wait(found, interrupted=stopped))

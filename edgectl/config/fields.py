@@ -9,11 +9,13 @@ from typing import Any
 from edgectl.config.node import Node, redact_node
 from edgectl.config.problems import Mark, ProblemCode, Problems
 from edgectl.config.scalars import (
+    FILE_VERSION,
     INVALID,
     NodeReader,
     read_bool,
     read_text,
     read_text_or_empty,
+    read_version,
     report_wrong_type,
 )
 from edgectl.config.schema import (
@@ -89,7 +91,8 @@ def read_fields(
             values[key] = value
     for key in required:
         if key not in node.value:
-            problems.add(node.mark, ProblemCode.MISSING, f"{what} needs {key}", f"add {key}: ..")
+            value = FILE_VERSION if table.get(key) is read_version else ".."
+            problems.add(node.mark, ProblemCode.MISSING, f"{what} needs {key}", f"add {key}: {value}")
     return Fields(node, values)
 
 

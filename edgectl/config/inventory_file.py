@@ -178,9 +178,20 @@ def build_inventory_schema() -> Schema:
     )
 
 
+def _leave_out(_node: Node, _problems: Problems) -> Any:  # noqa: ANN401 - INVALID stands for any type
+    return INVALID
+
+
 def read_defaults(node: Node, problems: Problems) -> Mapping[str, Any]:
     """What is stated for every host of a file."""
-    fields = read_fields(node, problems, DEFAULTS_KEYS, what="defaults")
+    own = (ROBOT_KEYS.keys() - DEFAULTS_KEYS.keys()) & (
+        node.value.keys() if isinstance(node.value, dict) else set()
+    )
+    for key in sorted(own):
+        message, hint = f"{key} has no default", f"write {key} at each host that has it"
+        problems.add(node.key_mark(key), ProblemCode.UNKNOWN_KEY, message, hint)
+    readers = {**DEFAULTS_KEYS, **dict.fromkeys(own, _leave_out)}
+    fields = read_fields(node, problems, readers, what="defaults")
     _check_identity_file(fields, problems)
     return fields.values
 

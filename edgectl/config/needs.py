@@ -67,7 +67,13 @@ def resolve_task_name(
     if wanted in names.drafts:
         return (wanted,)
     if wanted not in names.expansions:
-        hint = problems.did_you_mean(wanted, names.known, "the tasks are")
+        # As in a command, where a placeholder stands for the robot; here its task is meant anyway.
+        entry = wanted.partition("{")[0].rstrip("-_")
+        hint = (
+            f"write {entry}, which means that of the same robot"
+            if entry != wanted and entry in names.expansions
+            else problems.did_you_mean(wanted, names.known, "the tasks are")
+        )
         problems.add(node.mark, ProblemCode.UNKNOWN_NAME, f"unknown task {wanted}", hint)
         return ()
     expanded = names.expansions[wanted]

@@ -8,13 +8,14 @@ from edgectl.config.host_rules import FleetIndex
 from edgectl.config.node import Node
 from edgectl.config.placeholders import PLACEHOLDER_KEYS, has_placeholder
 from edgectl.config.problems import ProblemCode, Problems
-from edgectl.config.task_file import EXCLUSIVE_KEYS, TaskDraft, TaskTemplate
+from edgectl.config.task_file import EXCLUSIVE_KEYS, TASK_KEYS, TaskDraft, TaskTemplate
 from edgectl.model.check import Check, CheckLocation, OnUnhealthy
 from edgectl.model.demand import Demand
 from edgectl.model.image import ContainerEngine
 from edgectl.model.latency import HeardRule, LatencyRule
 from edgectl.model.resource import RESOURCES
 from edgectl.model.task import HandoffOrder, OnboardRule, RestartPolicy, TaskKind, UnreachablePolicy
+from edgectl.names import suggest_name
 from edgectl.units import format_duration
 
 # Heartbeats leave every quarter of self_fence, and those of one second count as one on the manager's disk.
@@ -307,6 +308,9 @@ def _check_demand(draft: TaskDraft, problems: Problems) -> None:
     fields = draft.template.fields
     if not fields.values.get("managed", True) or ("demand" in fields and "demand" not in fields.values):
         return
+    written = fields.node.value if isinstance(fields.node.value, dict) else {}
+    if "demand" not in written and suggest_name("demand", written.keys() - TASK_KEYS.keys()):
+        return  # a slip of the finger, which is a problem of its own
     demand = fields.values.get("demand", Demand())
     stated = fields.at("demand").value if "demand" in fields else {}
     left_out = [

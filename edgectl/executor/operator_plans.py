@@ -75,24 +75,25 @@ def build_stop_plan(names: Iterable[str], inventory: Inventory, tasks: Tasks, sn
     return _build_operator_plan(tuple(steps), inventory, tasks, snapshot)
 
 
-def build_restart_plan(name: str, inventory: Inventory, tasks: Tasks, snapshot: Snapshot) -> Plan:
-    """Stop a running task and start it again on its host; further instances elsewhere are stopped.
+def build_restart_plan(names: Iterable[str], inventory: Inventory, tasks: Tasks, snapshot: Snapshot) -> Plan:
+    """Stop running tasks and start each again on its host; further instances elsewhere are stopped.
 
-    Its inactive copies stay as they are.
+    Their inactive copies stay as they are.
     """
-    places = list_running_instances(snapshot)[name]
+    running = list_running_instances(snapshot)
+    steps = tuple(_build_restart_step(name, running[name], snapshot) for name in names)
+    return _build_operator_plan(steps, inventory, tasks, snapshot)
+
+
+def _build_restart_step(name: str, places: Mapping[str, str], snapshot: Snapshot) -> Step:
+    """``places``: its instances by host."""
     known = snapshot.manager.placements.get(name) if snapshot.manager is not None else None
     host = known.host if known is not None and known.host in places else next(iter(places))
     others = [place for place in places if place != host]
     decision = Decision(
         task=name, verdict=Verdict.KEPT, reason=Reason.OPERATOR, host=host, previous_host=host
     )
-    return _build_operator_plan(
-        (Step(decision=decision, action=Action.RESTART, instances=places, stop=tuple(others)),),
-        inventory,
-        tasks,
-        snapshot,
-    )
+    return Step(decision=decision, action=Action.RESTART, instances=places, stop=tuple(others))
 
 
 def drop_given_up_runs(name: str, snapshot: Snapshot, *, completed: bool = False) -> Snapshot:

@@ -11,6 +11,7 @@ from edgectl.executor.operator_plans import list_running_instances
 from edgectl.experiments.event_actions import Ask, ask_nobody
 from edgectl.experiments.files.run_codec import digest_experiment
 from edgectl.experiments.files.run_directory import (
+    RUN_FILE_NAME,
     create_run_directory,
     load_run,
     load_run_to_resume,
@@ -101,19 +102,36 @@ def run_experiment(fleet: Fleet, experiment: Experiment, options: ExperimentOpti
     return load_run(options.directory)
 
 
+def list_missing_trials(fleet: Fleet, experiment: Experiment, directory: Path) -> list[tuple[Scheme, int]]:
+    """Scheme and repetition of each trial that ``run_experiment`` would run, in their order. Nothing is
+    written, and no host is contacted.
+
+    Raises:
+        UsageError: the directory holds a run of other files.
+        FileError: one of its files is damaged.
+    """
+    known = load_run(directory) if (directory / RUN_FILE_NAME).exists() else None
+    _check_same_experiment(directory, known, digest_experiment(experiment, fleet.inventory, fleet.tasks))
+    return _order_missing_trials(experiment, known)
+
+
 def _hold_lock(directory: Path, fleet: Fleet, options: ExperimentOptions) -> FleetLock:
     return FleetLock(directory, verb="experiment", timeout=options.lock_timeout, clock=fleet.clock)
 
 
 def _load_matching_run(directory: Path, digest: str, fleet: Fleet) -> ExperimentRun | None:
     known = load_run_to_resume(directory, fleet.warn)
+    _check_same_experiment(directory, known, digest)
+    return known
+
+
+def _check_same_experiment(directory: Path, known: ExperimentRun | None, digest: str) -> None:
     if known is not None and known.digest != digest:
         raise UsageError(
             f"{directory} holds a run of another experiment: "
             "fleet, tasks or mission have changed since it began",
             hint="choose another directory: --out DIR",
         )
-    return known
 
 
 def _order_missing_trials(experiment: Experiment, known: ExperimentRun | None) -> list[tuple[Scheme, int]]:

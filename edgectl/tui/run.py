@@ -16,7 +16,7 @@ from edgectl.usecases.explain import compute_noise_by_host, explain_placement
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.logs import read_log
 from edgectl.usecases.plan import make_plan
-from edgectl.usecases.stop import restart_task
+from edgectl.usecases.stop import restart_tasks
 from edgectl.views.explanation import ExplanationView
 from edgectl.views.notes import list_unreachable_notes
 from edgectl.views.sparkline import SPARKLINE_SAMPLES
@@ -89,7 +89,7 @@ def build_fleet_backend(
         )
 
     def restart(task: str) -> str:
-        return _describe_outcome(f"{task} restarted", restart_task(fleet, task).results)
+        return _describe_outcome(f"{task} restarted", restart_tasks(fleet, [task]).results)
 
     def drain(host: str) -> str:
         drained = drain_hosts(fleet, fleet.tasks.policy, [host])

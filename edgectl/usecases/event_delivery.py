@@ -152,13 +152,18 @@ class HookTrial:
     seconds: float
 
 
+def list_tested_hooks(fleet: Fleet, kind: EventKind | None = None) -> tuple[EventHook, ...]:
+    """The hooks that receive events of ``kind``, None: of any."""
+    return tuple(
+        hook for hook in fleet.inventory.on_event if hook.kinds and (kind is None or kind in hook.kinds)
+    )
+
+
 def run_hook_trials(fleet: Fleet, kind: EventKind | None = None) -> tuple[HookTrial, ...]:
     """Run each hook once with an example event of its first kind; with ``kind``, only hooks of that kind."""
     trials = []
     secrets = list_file_secrets(fleet)
-    for hook in fleet.inventory.on_event:
-        if not hook.kinds or (kind is not None and kind not in hook.kinds):
-            continue
+    for hook in list_tested_hooks(fleet, kind):
         event = Event(
             at=fleet.clock(),
             kind=kind or hook.kinds[0],

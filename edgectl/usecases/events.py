@@ -11,20 +11,22 @@ from edgectl.usecases.record import get_newest_event_id
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EventFilter:
-    """Filter of events: not older than ``since`` (s since 1970), of one host, of one task."""
+    """Filter of events: not older than ``since`` (s since 1970), of one host, of ``tasks`` (none: of all)."""
 
     since: float | None = None
     host: str | None = None
-    task: str | None = None
+    tasks: tuple[str, ...] = ()
 
 
 def list_events(fleet: Fleet, wanted: EventFilter, *, after: int = 0) -> tuple[Event, ...]:
     """Events with an id above ``after``, oldest first; empty where nothing was recorded."""
-    return fleet.history.use(
+    only = wanted.tasks[0] if len(wanted.tasks) == 1 else None
+    found = fleet.history.use(
         fleet.state,
         fleet.warn,
-        lambda store: store.events(after=after, since=wanted.since, host=wanted.host, task=wanted.task),
+        lambda store: store.events(after=after, since=wanted.since, host=wanted.host, task=only),
     )
+    return tuple(event for event in found if not wanted.tasks or event.task in wanted.tasks)
 
 
 def follow_events(

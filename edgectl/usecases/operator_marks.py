@@ -17,6 +17,7 @@ from edgectl.state.manager_state import (
     save_ignored_instances,
     save_manager_state,
 )
+from edgectl.state.uptime import compute_elapsed_s
 from edgectl.usecases.coordination import hold_in_etcd, share_state
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.heartbeat import track_heartbeats
@@ -116,6 +117,12 @@ def fence_hosts(fleet: Fleet, names: Sequence[str]) -> frozenset[str]:
     marks = {mark for name in names for mark in list_fence_marks(name, fleet.inventory, manager)}
     with change_marks(fleet, "fence"):
         return heartbeats.add_fences(fleet.state, marks).fenced
+
+
+def compute_silence_s(fleet: Fleet, host: str) -> float | None:
+    """Time in s since a host last answered; None if that is not known."""
+    last = heartbeats.load_heartbeats(fleet.state, fleet.warn).last.get(host)
+    return None if last is None else compute_elapsed_s(last, fleet.uptime())
 
 
 def list_fenceable_hosts(fleet: Fleet, manager: ManagerState | None = None) -> list[str]:

@@ -96,42 +96,52 @@ def start_tasks(
         return confirm_and_execute(held, plan, confirm, options, verb="start")
 
 
-def restart_task(
-    fleet: Fleet, name: str, confirm: Confirm = confirm_always, options: ApplyOptions | None = None
+def restart_tasks(
+    fleet: Fleet, names: Sequence[str], confirm: Confirm = confirm_always, options: ApplyOptions | None = None
 ) -> ApplyResult:
-    """Stop a running task and start it again on its host; one that failed for good is started where it is
-    placed now.
+    """Stop running tasks and start each again on its host; those that failed for good are started where they
+    are placed now. If one cannot be, none is.
 
     Raises:
-        UsageError: it is not in the files, neither runs nor failed for good, or has no placement.
-        UnansweredError: it may run on a host that does not answer or left the inventory.
+        UsageError: one is not in the files, neither runs nor failed for good, or has no placement.
+        UnansweredError: one may run on a host that does not answer or left the inventory.
         LockBusyError: another edgectl is changing this fleet.
     """
     options = options or ApplyOptions()
     with lock_fleet(fleet, "restart", options) as held:
         snapshot = probe_fleet(held, options.probe)
-        _check_task_names(fleet, [name], snapshot)
+        wanted = _check_task_names(fleet, names, snapshot)
         return confirm_and_execute(
-            held, _plan_restart(held, name, snapshot), confirm, options, verb="restart"
+            held, _plan_restarts(held, wanted, snapshot), confirm, options, verb="restart"
         )
 
 
-def _plan_restart(fleet: Fleet, name: str, snapshot: Snapshot) -> Plan:
-    if name not in fleet.tasks.tasks:
-        raise UsageError(f"{name} is not in the task files", hint="edgectl apply")
-    if name in list_running_instances(snapshot):
-        return build_restart_plan(name, fleet.inventory, fleet.tasks, snapshot)
-    _check_not_unseen(name, snapshot, "restarted")
-    forgiven = drop_given_up_runs(name, snapshot)
-    if forgiven == snapshot:
-        raise UsageError(f"{name} is not running", hint="edgectl apply")
+def _plan_restarts(fleet: Fleet, names: Sequence[str], snapshot: Snapshot) -> Plan:
+    running, forgiven = list_running_instances(snapshot), snapshot
+    given_up = [name for name in names if name not in running]
+    for name in names:
+        if name not in fleet.tasks.tasks:
+            raise UsageError(f"{name} is not in the task files", hint="edgectl apply")
+    for name in given_up:
+        _check_not_unseen(name, snapshot, "restarted")
+        before, forgiven = forgiven, drop_given_up_runs(name, forgiven)
+        if forgiven == before:
+            raise UsageError(f"{name} is not running", hint="edgectl apply")
+    restarts = build_restart_plan(
+        [name for name in names if name in running], fleet.inventory, fleet.tasks, forgiven
+    )
+    if not given_up:
+        return restarts
     made = make_plan(fleet, fleet.tasks.policy, snapshot=forgiven)
-    steps = tuple(step for step in made.steps if step.task == name and step.action is Action.START)
-    if not steps:
+    starts = tuple(step for step in made.steps if step.task in given_up and step.action is Action.START)
+    placed = {step.task for step in starts}
+    without = next((name for name in given_up if name not in placed), None)
+    if without is not None:
         raise UsageError(
-            f"{name} has no placement now", hint=f"edgectl reopen {name}; edgectl plan then shows the reason"
+            f"{without} has no placement now",
+            hint=f"edgectl reopen {without}; edgectl plan then shows the reason",
         )
-    return dataclasses.replace(made, steps=steps, expected={})
+    return dataclasses.replace(made, steps=restarts.steps + starts, expected={})
 
 
 def _check_not_unseen(name: str, snapshot: Snapshot, act: str) -> None:

@@ -50,6 +50,7 @@ _OTHER_TASK = (
 LIST_KEYS: KeysByName = {
     "change": ("type", "at", "object"),
     "difference": ("task", "action", "reason", "previous_host", "host", "lines"),
+    "graph-task": ("task", "host", "action", "total", "needs"),
     "context": ("context", "chosen", "inventories", "task_files", "origin"),
     "edge": _HOST,
     "all": ("kind", *dict.fromkeys((*_HOST, *_TASK, *_LINK))),

@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The task graph: tasks, their needs and their hosts, as Mermaid and as DOT."""
+"""The task graph: tasks, their needs and their hosts, as Mermaid, as DOT and as a document."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from edgectl.dataclass import dataclass
+from edgectl.formats.document import Document
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.task import Tasks
+from edgectl.views.output import ListView
+from edgectl.views.output_format import GRAPH_FORMATS
+from edgectl.views.notes import list_snapshot_notes
 from edgectl.views.plan_sections import format_utility
 
 UNPLACED_GROUP = "unplaced"
@@ -44,9 +48,43 @@ class TaskGraph:
         return "\n".join([*lines, "}"]) + "\n"
 
 
+class TaskGraphView(ListView):
+    """The tasks of the graph, each with its host and its needs."""
+
+    kind = "graph-task"
+    formats = GRAPH_FORMATS
+
+    def __init__(self, plan: Plan, tasks: Tasks) -> None:
+        self._plan, self._tasks = plan, tasks
+
+    def warnings(self) -> Sequence[str]:
+        """The remarks on the snapshot."""
+        return list_snapshot_notes(self._plan.snapshot)
+
+    def items(self) -> Sequence[Document]:
+        """The tasks as JSON types."""
+        return [self._encode_step(step) for step in _list_shown_steps(self._plan)]
+
+    def _encode_step(self, step: Step) -> Document:
+        stated = self._tasks.tasks.get(step.task)
+        needs = stated.needs if stated is not None else ()
+        return {
+            "task": step.task,
+            "host": step.decision.host,
+            "action": step.action.value,
+            "total": step.decision.total,
+            "needs": [{"task": need.task, "until": need.until.value} for need in needs],
+        }
+
+
+def _list_shown_steps(plan: Plan) -> list[Step]:
+    """Without tasks that end or have ended."""
+    return [step for step in plan.steps if step.action not in (Action.STOP, Action.COMPLETE, Action.NONE)]
+
+
 def build_task_graph(plan: Plan, tasks: Tasks) -> TaskGraph:
     """The graph after the plan; tasks that end or have ended are left out."""
-    shown = [step for step in plan.steps if step.action not in (Action.STOP, Action.COMPLETE, Action.NONE)]
+    shown = _list_shown_steps(plan)
     names = {step.task for step in shown}
     order = (
         *plan.expected,

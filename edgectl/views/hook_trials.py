@@ -25,7 +25,7 @@ class HookTrialsView(ListView):
         """One line per hook."""
         rows: list[Row] = [
             (
-                _name_program(hook),
+                name_program(hook),
                 Cell("failed" if why else "done", "bad" if why else "good"),
                 format_duration(seconds),
                 why or "-",
@@ -38,7 +38,7 @@ class HookTrialsView(ListView):
         """The trials as JSON types."""
         return [
             {
-                "command": _name_program(hook),
+                "command": name_program(hook),
                 "outcome": "failed" if why else "done",
                 "duration_s": round(seconds, 3),
                 "message": why,
@@ -47,5 +47,6 @@ class HookTrialsView(ListView):
         ]
 
 
-def _name_program(hook: EventHook) -> str:
+def name_program(hook: EventHook) -> str:
+    """The program of a hook without its arguments, or its notifier."""
     return hook.command[0] if hook.command else f"notifier {hook.notifier}"

@@ -39,7 +39,7 @@ EXPERIMENT_FORMATS: Formats = (*WIDE_FORMATS, OutputFormat.MARKDOWN)
 PLAN_FORMATS: Formats = (*FLEET_FORMATS, OutputFormat.MARKDOWN, OutputFormat.GITLAB)
 DIAGNOSIS_FORMATS: Formats = (*ITEM_FORMATS, OutputFormat.MARKDOWN)
 VALIDATION_FORMATS: Formats = (*ITEM_FORMATS, OutputFormat.GITHUB, OutputFormat.GITLAB)
-GRAPH_FORMATS: Formats = (OutputFormat.MERMAID, OutputFormat.DOT)
+GRAPH_FORMATS: Formats = (OutputFormat.MERMAID, OutputFormat.DOT, *DOCUMENT_FORMATS)
 CYCLE_FORMATS: Formats = (OutputFormat.TABLE, OutputFormat.JSONL)
 # Of a list that is printed again and again.
 STREAM_FORMATS: Formats = (OutputFormat.TABLE, OutputFormat.WIDE, OutputFormat.JSON, OutputFormat.JSONL)

@@ -223,3 +223,18 @@ def test_ctrl_c_finishes_what_is_under_way(small: Path) -> None:
     assert process.returncode == 130
     assert "Interrupted." in out
     assert "Traceback" not in err
+
+
+def test_a_second_ctrl_c_stops_at_once(small: Path) -> None:
+    """While an action waits for a check that never holds; the next command finds what the first has begun."""
+    check = 'ready: {command: "false", timeout: 10m}'
+    (small / "tasks" / "lab.yaml").write_text(TASKS.replace("stop:", f"{check}, stop:"))
+    with start_edgectl("apply", "--yes") as process:
+        wait_for_file(small, "state/agent-state/*/hosts/edge1/tasks/idle/log*", process)
+        process.send_signal(signal.SIGINT)
+        assert process.stderr is not None
+        assert any("press Ctrl-C again to stop at once" in line for line in process.stderr)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=patience(60))
+    assert process.returncode == 130
+    assert "Traceback" not in err

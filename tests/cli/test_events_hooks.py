@@ -50,6 +50,10 @@ def test_each_program_is_tried(tmp_path: Path) -> None:
         ("sh", "failed", "failed with exit code 3: no server"),
     ]
     assert json.loads(out.read_text())["items"][0]["kind"] == "host-lost"
+    out.unlink()
+    dry = try_hooks(tmp_path, hooks, "events", "test", "--dry-run")
+    assert (dry.code, dry.out.splitlines()) == (0, ["sh run (dry run)"] * 2)
+    assert not out.exists()
     assert try_hooks(tmp_path, hooks, "events", "test").out.splitlines()[0].split() == [
         "COMMAND",
         "OUTCOME",
@@ -57,7 +61,7 @@ def test_each_program_is_tried(tmp_path: Path) -> None:
         "MESSAGE",
     ]
     none = try_hooks(tmp_path, hooks.splitlines()[0] + "\n", "events", "test", "--kind", "roamed")
-    assert (none.code, none.err.splitlines()[0]) == (64, "error: no program of on_event wants this event")
+    assert (none.code, none.err.splitlines()[0]) == (64, "error: no program of on_event receives this event")
 
 
 @pytest.mark.parametrize(

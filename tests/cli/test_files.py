@@ -126,6 +126,9 @@ COMPLETIONS = {
         "kind=service,robot=robot2",
         "kind=service,robot=robot3",
     ],
+    "edgectl get tasks -l kind=": ["kind=service"],
+    "edgectl get edges -l kind=": ["kind=edge", "kind=robot"],
+    "edgectl get hosts -l kind=robot,host=edge": [f"kind=robot,host=edge{number}" for number in (1, 2, 3)],
     "edgectl rollback ": [],
 }
 

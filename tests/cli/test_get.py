@@ -139,9 +139,20 @@ def test_top_w_draws_in_place_and_leaves_the_terminal_as_it_was(site: Path, end:
         assert terminal.wait() == 0
         shown, _, after = terminal.seen.rpartition("\x1b[?25h\x1b[?1049l")
         assert "robot3" in shown
-        assert re.sub(r"\x1b\[\d+m", "", after).splitlines()[0].split()[:2] == ["HOST", "STATUS"], (
-            "the last look stays"
-        )
+        fleet, heading, *_ = re.sub(r"\x1b\[\d+m", "", after).splitlines()
+        assert fleet.startswith("Fleet demo-")
+        assert heading.split()[:2] == ["HOST", "STATUS"], "the last look stays"
+
+
+@pytest.mark.parametrize("words", ["get edges -w", "events -w"])
+def test_a_watched_list_names_its_fleet_once(site: Path, words: str) -> None:
+    env = {**os.environ, "TERM": "xterm", "NO_COLOR": "1"}
+    run_edgectl("probe", cwd=site).check_returncode()
+    with Terminal(words.split(), site, env=env) as terminal:
+        terminal.until("edge3" if "get" in words else "Fleet demo-")
+        terminal.process.send_signal(signal.SIGINT)
+        assert terminal.wait() == 0
+        assert len(re.findall(r"^Fleet demo-[0-9a-f]+\r?$", terminal.seen, re.MULTILINE)) == 1
 
 
 def test_describe_ends_with_the_last_events(run: Run, site: Path) -> None:

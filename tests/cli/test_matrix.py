@@ -13,7 +13,7 @@ import sys
 import termios
 import threading
 from collections.abc import Iterator, Mapping
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,11 @@ import yaml
 
 from edgectl.cli.app import COMMANDS
 from edgectl.cli.main import main
+from edgectl.transport.fake import FakeTransport
 from tests.cli.inprocess import Said, edgectl
-from tests.executor.fake_fleet import FakeFleet
+from tests.docs.reference import help_of
+from tests.executor.fake_fleet import FakeFleet, FakeHost, Request
+from tests.fuzz.hostile_fleet import OTHER_REPLIES
 
 HOSTS = ["edge3", "edge2", "edge1", "robot1"]
 INVENTORY = """version: 1
@@ -83,6 +86,11 @@ READING = {
     "completion": "completion bash",
     "trust": "trust --all --dry-run",
 }
+COUNTER = {"addresses": ["192.0.2.7"], "counted": True, "rx_bytes": 5e6, "tx_bytes": 7e6, "tcp_bytes": 2e6}
+REPLIES: dict[str, Request] = {
+    **OTHER_REPLIES,
+    "counters": {"state": "installed", "tasks": True, "robots": {"robot1": COUNTER}},
+}
 # They act, serve until they are ended, read other files than those of a fleet, or need what is no part of one.
 OTHERS = {
     *(
@@ -121,11 +129,29 @@ OTHERS = {
     *("replay", "simulate run", "simulate sweep", "simulate merge", "experiment run", "experiment show"),
     *("import ros", "import ssh", "import ansible", "import paper", "import compose"),
 }
+_READS, _WRITES = "changes nothing", "writes new files, or prints them"
+NOT_TRIED = {
+    **dict.fromkeys(
+        ("serve", "export prometheus", "export ros", "replay", "ssim", "experiment show"), _READS
+    ),
+    **dict.fromkeys(("simulate run", "simulate sweep", "simulate merge", "report", "init"), _WRITES),
+    **dict.fromkeys(
+        ("import ros", "import ssh", "import ansible", "import paper", "import compose"), _WRITES
+    ),
+    "config use-context": "chooses what later commands read",
+}
 PEOPLE = ("table", "wide")
 WIDTHS = (60, 80, 120)
 ESCAPE = re.compile(r"\x1b\[[0-9;]*m")
 # Instants, ages, durations and lines of a history differ from run to run, and with them the width of their columns.
 MOMENT = re.compile(r"\d{4}-\d\d-\d\dT[\d:.]+Z|\b\d+(?:\.\d+)?(?:e-\d+)?|[ -]{2,}|[▁▂▃▄▅▆▇█]+")
+
+
+def answer(host: FakeHost, request: Request) -> Request:
+    """The reply of a simulated host, or the one that stands here for an operation that it does not have."""
+    if request["op"] in REPLIES:
+        return {**REPLIES[str(request["op"])], "host": host.name, "op": request["op"]}
+    return host(request)
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +165,8 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict
     kept = {name: os.environ[name] for name in ("PATH", "HOME") if name in os.environ}
     env = {**kept, "EDGECTL_STATE_DIR": str(folder / "state"), "TERM": "xterm-256color", "LANG": "C.UTF-8"}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("edgectl.transport.fleet_transport.FleetTransport", lambda **_: hosts.transport)
+        transport = FakeTransport({name: partial(answer, host) for name, host in hosts.hosts.items()})
+        patch.setattr("edgectl.transport.fleet_transport.FleetTransport", lambda **_: transport)
         applied = edgectl(["apply", "--yes"], folder, env)
         assert hosts.placed.keys() == {"zeta", "nav"}, applied
         yield folder, env
@@ -234,6 +261,7 @@ def test_a_verb_in_every_form_for_people_and_programs(verb: str, fleet: tuple[Pa
         piped = plain[form] = edgectl(asked, folder, env)
         assert "\x1b" not in piped.out + piped.err, "a pipe has no colour"
         assert "Traceback" not in piped.err
+        assert "unexpected " not in piped.err, "what is read here has an answer"
         always = edgectl([*asked, "--color", "always"], folder, env)
         assert always.code == piped.code
         if form in PEOPLE:
@@ -263,7 +291,9 @@ def test_a_verb_in_every_form_for_people_and_programs(verb: str, fleet: tuple[Pa
 
 def test_a_table_names_its_fleet_on_a_terminal_alone(fleet: tuple[Path, dict[str, str]]) -> None:
     folder, env = fleet
+    lost = (f"diff --without edge{number}" for number in (3, 2, 1))
     for words in (
+        next(words for words in lost if edgectl(words.split(), folder, env).out),
         "probe",
         "get hosts",
         "get all",
@@ -272,12 +302,29 @@ def test_a_table_names_its_fleet_on_a_terminal_alone(fleet: tuple[Path, dict[str
         "plan",
         "status",
         "trust --all --dry-run",
+        "history",
+        "show 1",
+        "events",
+        "explain zeta",
+        "describe edge edge3",
+        "describe task zeta",
+        "doctor",
+        "profilers status",
+        "counters show",
     ):
-        first = show(words.split(), folder, {**env, "NO_COLOR": "1"}, 80).out.splitlines()
-        assert any(re.search(r"\b[Ff]leet lab\b", line) for line in first[:3]), (words, first[:3])
+        seen = show(words.split(), folder, {**env, "NO_COLOR": "1"}, 80)
+        first = seen.out.splitlines()[:3]
+        assert any(re.search(r"\b[Ff]leet lab\b", line) for line in first), (words, seen)
     for words in ("get hosts", "top hosts"):
         assert "lab\n" not in edgectl(words.split(), folder, env).out
         assert "Fleet" not in show([*words.split(), "--no-headers"], folder, env, 80).out
+
+
+def test_what_acts_can_be_tried() -> None:
+    """On hosts, on the fleet's records, on a task file, or by programs of on_event."""
+    acting = (OTHERS - NOT_TRIED.keys()) | {"profile", "events", "trust"}
+    tried = {verb for verb in COMMANDS if re.search(r"^  --dry-run ", help_of(verb.split()), re.MULTILINE)}
+    assert tried == acting
 
 
 def test_what_colours_are_decided_by(fleet: tuple[Path, dict[str, str]]) -> None:

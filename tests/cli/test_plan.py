@@ -82,7 +82,7 @@ def test_target_and_selector_choose_what_is_done(run: Run, site: Path) -> None:
     said = run(*PLAN, "--target", "detection-robot2")
     assert "1 left out." in said.out
     assert said.out.endswith("Plan: 0 to start, 0 to move, 0 to stop, 9 kept, 0 unplaced, 1 left out.\n")
-    assert said.err.startswith("warning: 1 other changes are left out, although this plan depends on them\n")
+    assert said.err.startswith("warning: 1 other change is left out, although this plan depends on it\n")
     assert "1 to move" in run(*PLAN, "-l", "task=detection").out
     assert "1 left out" in run(*PLAN, "-l", "task!=detection").out
 

@@ -103,6 +103,9 @@ def test_the_greatest_of_the_group_is_written_and_nothing_else(site: Path, run: 
     record_samples(site)
     file = site / "tasks" / "tasks.yaml"
     file.chmod(0o640)
+    tried = run("profile", "slam-robot1", "--write", "--dry-run")
+    assert (tried.code, file.read_text()) == (0, TASKS)
+    assert '+    demand: {cpu: 1.9, memory: "256Mi"}' in tried.err
     said = run("profile", "slam-robot1", "--write", "--yes")
     assert said.code == 0
     assert "slam is one entry for slam-robot1, slam-robot2: it gets the maximum of their p95" in said.err

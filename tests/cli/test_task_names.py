@@ -66,6 +66,19 @@ def test_entries_are_taken_wherever_a_task_is_named(run: Run, site: Path) -> Non
     assert "did you mean detection" in run("plan", "--snapshot", "snap.json", "--target", "detektion").err
 
 
+@pytest.mark.parametrize("verb", ["done", "reopen", "unpin"])
+def test_marks_take_labels_where_they_take_tasks(run: Run, site: Path, verb: str) -> None:
+    said = run(verb, "slam-robot1", "-l", "task=detection,robot in (robot1,robot3)", "--dry-run")
+    named = [line.split()[0] for line in said.out.splitlines()]
+    assert named == ["task/slam-robot1", "task/detection-robot1", "task/detection-robot3"]
+    assert run(verb, "--dry-run") == (
+        64,
+        "",
+        "error: name a task, or pass -l LABELS\nhint: list tasks: edgectl get tasks\n",
+    )
+    assert run(verb, "-l", "task=detektion").err.startswith("error: no task matches -l task=detektion\n")
+
+
 def test_a_selector_that_matches_nothing_is_said(run: Run, site: Path) -> None:
     said = run("plan", "--snapshot", "snap.json", "-l", "task=detektion")
     assert "warning: no task matches -l task=detektion" in said.err

@@ -10,6 +10,8 @@ from tests.config.broken_files import INVENTORY, TASKS, BrokenFile, check_proble
 CASES = [
     BrokenFile(name="unknown key", old="user: jetson", new="usr: jetson", at="usr", code="EC012", message="unknown key usr in defaults",
         hint="did you mean user?", mended="user: jetson"),
+    BrokenFile(name="key of one host in defaults", old="defaults: {", new="defaults: {capacity: {cpu: 2, memory: 1Gi}, ", at="capacity: {cpu: 2, memory: 1",
+        code="EC012", message="capacity has no default", hint="write capacity at each host that has it", mended="defaults: {"),
     BrokenFile(name="unknown top key", old="edges:", new="edge:", code="EC012", message="unknown key edge in an inventory", hint="did you mean edges?",
         mended="edges:"),
     BrokenFile(name="key of robots on an edge", old="labels: {gpu: maxwell}", new="probe: false", at="probe", code="EC012",
@@ -101,7 +103,7 @@ CASES = [
         message="must be a whole number, not a string", hint="write a number from 1 to 65535", mended="host: jetson-b, port: 22"),
     BrokenFile(name="version", old="version: 1", new="version: 2", at="2", code="EC016", message="version 2 is not known", hint="write version: 1",
         mended="version: 1"),
-    BrokenFile(name="no version", old="version: 1\n", new="", at="defaults", code="EC011", message="an inventory needs version", hint="add version",
+    BrokenFile(name="no version", old="version: 1\n", new="", at="defaults", code="EC011", message="an inventory needs version", hint="add version: 1",
         mended="version: 1\n"),
     BrokenFile(name="onboard but never contacted", old="onboard: true", new="onboard: true, probe: false", at="onboard", code="EC033",
         message="never contacted", hint="remove onboard: true or probe: false", mended="onboard: true"),

@@ -36,6 +36,8 @@ CASES = [
         hint="remove \\0", mended='command: "ab"'),
     BrokenFile(name="needs nobody", old="needs: [slam]", new="needs: [slan]", at="slan", code="EC030", message="unknown task slan",
         hint="did you mean slam?", mended="needs: [slam]"),
+    BrokenFile(name="needs with a placeholder", old="needs: [slam]", new='needs: ["slam-{robot}"]', at='"slam-{robot}"', code="EC030",
+        message="unknown task slam-{robot}", hint="write slam, which means that of the same robot", mended="needs: [slam]"),
     BrokenFile(name="needs as text", old="needs: [slam]", new="needs: slam", at="slam\n    command: roslaunch nav", code="EC010",
         message="must be a list, not a string", hint="write [slam]", mended="needs: [slam]"),
     BrokenFile(name="needs twice", old="needs: [slam]", new="needs: [slam, slam]", at="slam]", code="EC032", message="slam-robot1 is needed twice",

@@ -109,13 +109,15 @@ class EngineClient:
         return [name.lstrip("/") for each in json.loads(said) for name in each["Names"]]
 
 
-def build_engine_argv(programs: Path, group: str, *, folder: Path, more: Iterable[str]) -> list[str]:
+def build_engine_argv(
+    programs: Path, group: str, *, folder: Path, more: Iterable[str], storage: str = "vfs"
+) -> list[str]:
     """The command line of an engine whose programs are in ``programs``, whose containers are in the control group
-    ``group``, and whose files are in ``folder``.
+    ``group``, and whose files are in ``folder``. ``storage``: its driver; vfs runs everywhere, and copies each layer whole.
     """
     return [
         str(programs / "dockerd"), f"--data-root={folder}/data", "--bridge=none", "--iptables=false",
-        "--ip6tables=false", "--storage-driver=vfs", f"--cgroup-parent=/{group}", f"--init-path={programs}/docker-init",
+        "--ip6tables=false", f"--storage-driver={storage}", f"--cgroup-parent=/{group}", f"--init-path={programs}/docker-init",
         "--exec-opt=native.cgroupdriver=cgroupfs", *more,
     ]  # fmt: skip
 
@@ -125,6 +127,8 @@ class DockerEngine(EngineClient):
     """An engine on this machine. It is running between `start` and `kill`."""
 
     live_restore: bool = True
+    # For a build: with the network of this machine, not without a cable, and with layers that are not copied whole.
+    builds: bool = False
     process: "subprocess.Popen[bytes] | None" = None
     # Keeps the namespaces while the engine is away.
     holder: "subprocess.Popen[bytes] | None" = None
@@ -145,7 +149,9 @@ class DockerEngine(EngineClient):
             f"--pidfile={self.folder}/docker.pid",
             *(["--live-restore"] if self.live_restore else []),
         ]
-        words = [*self._enter(), *build_engine_argv(PROGRAMS, self.group, folder=self.folder, more=own)]
+        storage = "overlay2" if self.builds else "vfs"
+        argv = build_engine_argv(PROGRAMS, self.group, folder=self.folder, more=own, storage=storage)
+        words = [*self._enter(), *argv]
         with (self.folder / "dockerd.log").open("ab") as log:
             self.process = subprocess.Popen(
                 words,
@@ -162,11 +168,11 @@ class DockerEngine(EngineClient):
             time.sleep(0.1)
 
     def _make_namespaces(self) -> None:
-        """A network without a cable, and a /run of its own, in which the sockets of the shims are."""
+        """A /run of its own, in which the sockets of the shims are; and mostly a network without a cable."""
         self.folder.mkdir(exist_ok=True)
         ready = "mount -t tmpfs tmpfs /run && echo ready && exec sleep infinity"
         self.holder = subprocess.Popen(
-            ["unshare", "--mount", "--net", "--ipc", "sh", "-c", ready],
+            ["unshare", "--mount", *(() if self.builds else ("--net",)), "--ipc", "sh", "-c", ready],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
         )
@@ -255,9 +261,9 @@ def build_image() -> bytes:
 
 
 @contextmanager
-def docker_engine(folder: Path, *, live_restore: bool = True) -> Iterator[DockerEngine]:
+def docker_engine(folder: Path, *, live_restore: bool = True, builds: bool = False) -> Iterator[DockerEngine]:
     """An engine with the image of the tests."""
-    engine = DockerEngine(folder, live_restore)
+    engine = DockerEngine(folder, live_restore, builds)
     try:
         engine.start()
         engine.import_image()

@@ -100,12 +100,20 @@ def test_the_image_is_given_all_that_a_wheel_is_made_of_and_nothing_else() -> No
     }
     links = [path.resolve().relative_to(ROOT) for path in (ROOT / "edgectl").rglob("*") if path.is_symlink()]
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    needed = {"pyproject.toml", "edgectl", project["readme"], *project["license-files"]}
+    needed = {
+        "pyproject.toml",
+        ".ci/published_metadata.py",
+        "README.md",
+        "edgectl",
+        *project["license-files"],
+    }
     assert copied == needed | {path.parts[0] for path in links}
+    sent = [line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")]
+    assert set(sent) == copied, "a builder is sent what is copied, and no environment of gigabytes"
 
 
 def test_the_image_is_described_as_a_builder_reads_it() -> None:
-    """Building it needs a registry: make image does, where there is a builder."""
+    """tests/containers/test_image.py builds it (make containers)."""
     text = (CI / "Containerfile").read_text()
     words = [
         line.split()[0]

@@ -23,7 +23,7 @@ from edgectl.model.task import HandoffContract, HandoffOrder, Task
 from edgectl.state import failpoints
 from edgectl.state.manager_state import load_manager_state
 from edgectl.usecases.apply import ApplyOptions, plan_and_apply
-from edgectl.usecases.stop import restart_task
+from edgectl.usecases.stop import restart_tasks
 from tests.builders import a_robot, a_task, an_edge, an_inventory
 from tests.e2e import robot
 from tests.e2e.bench import EAGER, GENTLE, QUICK, Bench, a_local, open_bench
@@ -219,8 +219,8 @@ def test_a_robot_that_nothing_steers_holds_until_a_restart_mends_it(scene: Scene
     scene.broken()
     assert scene.apply(exclude_host(task, old)) is None
     assert scene.since(begin)[-1]["holds"]
-    mended = restart_task(
-        scene.bench.using(exclude_host(task, old)).fleet, "steer", options=ApplyOptions(probe=QUICK)
+    mended = restart_tasks(
+        scene.bench.using(exclude_host(task, old)).fleet, ["steer"], options=ApplyOptions(probe=QUICK)
     ).results
     assert mended is not None
     assert mended.done

@@ -22,7 +22,7 @@ from edgectl.model.task import HandoffContract, TaskKind
 from edgectl.usecases.apply import ApplyOptions, apply_saved_plan, plan_and_apply
 from edgectl.usecases.logs import read_log
 from edgectl.usecases.probe import measure_links
-from edgectl.usecases.stop import restart_task
+from edgectl.usecases.stop import restart_tasks
 from tests.builders import a_robot, a_task, an_edge, an_inventory
 from tests.e2e.bench import (
     BY_CPU,
@@ -104,7 +104,7 @@ def test_what_failed_under_restart_never_is_started_on_a_word_only(pair: Bench) 
         assert bench.actions() == {"slam": Action.UNPLACED}
         assert bench.apply().results is None
     assert list_sleepers(mark) == []
-    restart_task(bench.fleet, "slam", options=ApplyOptions(probe=QUICK))
+    restart_tasks(bench.fleet, ["slam"], options=ApplyOptions(probe=QUICK))
     assert len(wait_for_sleepers(mark)) == 2
     assert bench.actions() == {"slam": Action.KEEP}
 
@@ -157,7 +157,7 @@ def test_a_stale_plan_is_refused(pair: Bench) -> None:
     made = PLAN_KIND.decode(
         PLAN_KIND.encode(bench.using(a_sleeper("slam", mark), a_sleeper("camera", a_mark())).plan())
     )
-    restart_task(bench.fleet, "slam", options=ApplyOptions(probe=QUICK))
+    restart_tasks(bench.fleet, ["slam"], options=ApplyOptions(probe=QUICK))
     with pytest.raises(StalePlanError, match="slam was restarted on edge1"):
         apply_saved_plan(
             bench.using(a_sleeper("slam", mark), a_sleeper("camera", a_mark())).fleet,

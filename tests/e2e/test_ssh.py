@@ -17,7 +17,7 @@ from edgectl.model.result import Outcome
 from edgectl.model.snapshot import HostStatus
 from edgectl.usecases.apply import ApplyOptions, plan_and_apply
 from edgectl.usecases.logs import follow_log
-from edgectl.usecases.stop import restart_task
+from edgectl.usecases.stop import restart_tasks
 from tests.builders import a_robot, an_inventory
 from tests.e2e.bench import (
     EAGER,
@@ -76,7 +76,7 @@ def test_the_main_job(lab: Lab, manager: Managing, connection: Connection) -> No
         2,
     )  # every session of the apply has ended
     assert bench.apply().results is None
-    restart_task(bench.fleet, name, options=ApplyOptions(probe=QUICK))
+    restart_tasks(bench.fleet, [name], options=ApplyOptions(probe=QUICK))
     assert len(wait_for_sleepers(slam)) == 2
     with closing(follow_log(bench.fleet, name)) as printed:
         assert next(printed).endswith(b"up\n")

@@ -135,7 +135,7 @@ def test_stop_first_takes_the_memory_along(scene: Scene) -> None:
     assert past.age_s == pytest.approx(kept.age_s, abs=1e-3)
     last = find_last_carries(fleet)["keeper"]
     assert (last.previous_host, last.located, last.state) == (old, result.located, past)
-    said = list_events(fleet, EventFilter(task="keeper"))[-1].message
+    said = list_events(fleet, EventFilter(tasks=("keeper",)))[-1].message
     assert f"state of {kept.size_bytes}B" in said
     assert f"state {format_duration(kept.age_s)} old" in said
 

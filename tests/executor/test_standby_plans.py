@@ -75,7 +75,7 @@ def test_a_copy_alone_is_stopped_too() -> None:
 
 
 def test_a_restart_leaves_copies_alone() -> None:
-    plan = build_restart_plan("slam", INVENTORY, TASKS, a_fleet())
+    plan = build_restart_plan(["slam"], INVENTORY, TASKS, a_fleet())
     assert [step.action for step in plan.steps] == [Action.RESTART]
     assert not list_copy_steps(plan)
 

@@ -11,7 +11,7 @@ import pytest
 from edgectl.errors import ConnectError, FleetBusyError, HostError, LockBusyError, UsageError
 from edgectl.experiments.model.experiment import Experiment, ExperimentRun, MapPair, TrialProgress
 from edgectl.experiments.model.schemes import Scheme
-from edgectl.experiments.runner import ExperimentOptions, run_experiment
+from edgectl.experiments.runner import ExperimentOptions, list_missing_trials, run_experiment
 from edgectl.model.check import Check
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action
@@ -413,3 +413,19 @@ def test_generations_grow_from_trial_to_trial_even_on_a_clock_that_went_back(lab
     run = lab.run()
     assert all(trial.finished for trial in run.trials)
     assert all(lab.hosts["robot1"].seen[task] > generation for task, generation in before.items())
+
+
+def test_missing_trials_are_listed_without_a_trace(lab: Lab) -> None:
+    def names(spec: Experiment = SPEC) -> list[str]:
+        found = list_missing_trials(lab.fleet, spec, lab.directory)
+        return [f"{scheme.name}/{repetition}" for scheme, repetition in found]
+
+    assert names() == ["local/1", "utility/1", "local/2", "utility/2"]
+    assert not lab.directory.exists()
+    lab.run(replace(SPEC, repetitions=1))
+    (lab.directory / "trials" / "utility-1.json").unlink()
+    before = lab.trials()
+    assert names() == ["utility/1", "local/2", "utility/2"]
+    assert lab.trials() == before
+    with pytest.raises(UsageError, match="holds a run of another experiment"):
+        names(replace(SPEC, limit=61.0))

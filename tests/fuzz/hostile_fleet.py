@@ -75,7 +75,7 @@ COMMANDS: tuple[tuple[str, ...], ...] = (
         for words in (("top", "hosts"), ("top", "tasks"), ("explain", "bad"))
         for form in (*ITEMS, "wide")
     ),
-    *(("graph", "-o", form) for form in ("mermaid", "dot")),
+    *(("graph", "-o", form) for form in ("mermaid", "dot", "json")),
     *(
         ("watch", "--cycles", "1", "-o", form, *apply)
         for form in ("table", "jsonl")

@@ -18,7 +18,7 @@ from edgectl.transport.fleet_lease import FleetLease
 from edgectl.usecases.apply import plan_and_apply
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.fleet_lease import _get_patience_s
-from edgectl.usecases.stop import restart_task, stop_tasks
+from edgectl.usecases.stop import restart_tasks, stop_tasks
 from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tasks
 from tests.executor.fake_fleet import FakeFleet, Request
 
@@ -137,7 +137,7 @@ def test_generations_of_a_liar_do_not_make_honest_hosts_unusable(site: Site) -> 
         generations={"t3": (1 << 33), "t1": 1 << 63, "t2": -5} if reply["host"] == "evil" else {}
     )
     for _ in range(3):
-        applied = restart_task(site.fleet, "t3")
+        applied = restart_tasks(site.fleet, ["t3"])
         assert applied.results is not None
         assert applied.results.done
     without = dataclasses.replace(
@@ -158,7 +158,7 @@ def test_a_task_that_was_placed_on_the_liar_cannot_spoil_generations_either(site
     )
     for _ in range(2):
         plan_and_apply(site.fleet, Policy(move_margin=0.0, min_dwell=0.0))
-        assert restart_task(site.fleet, "t3").results is not None
+        assert restart_tasks(site.fleet, ["t3"]).results is not None
     assert site.hosts.placed["t3"] in ("a", "b", "evil")
 
 
@@ -167,7 +167,7 @@ def test_restart_restarts_the_placed_instance_and_not_the_claimed_one(tmp_path: 
     site.fleet = dataclasses.replace(site.fleet, tasks=some_tasks(a_task("t3", cpu=1.0, pin="b")))
     site.apply()
     site.hosts["a"].tasks["t3"] = {**site.hosts["b"].tasks["t3"], "instance": "x", "generation": 1 << 33}
-    restart_task(site.fleet, "t3")
+    restart_tasks(site.fleet, ["t3"])
     assert site.hosts.placed["t3"] == "b"
 
 
@@ -176,7 +176,7 @@ def test_texts_of_failures_are_bounded_and_printable(site: Site, text: str) -> N
     """In messages, results and files, also of the replies of starts and waits."""
     site.hosts["a"].faults["wait"] = lambda _request: {"state": "failed", "detail": text, "exit_code": text}
     site.hosts["b"].faults["wait"] = site.hosts["a"].faults["wait"]
-    applied = restart_task(site.fleet, "t3")
+    applied = restart_tasks(site.fleet, ["t3"])
     assert applied.results is not None
     (action,) = applied.results.actions
     assert action.outcome is Outcome.FAILED

@@ -79,7 +79,7 @@ def test_a_move_is_a_handoff_with_its_gap(bench: Bench) -> None:
     assert handoff.downtime_s is not None
     moved = [
         event
-        for event in list_events(bench.fleet, EventFilter(task="slam"))
+        for event in list_events(bench.fleet, EventFilter(tasks=("slam",)))
         if event.kind is EventKind.TASK_MOVED
     ]
     assert len(moved) == 1

@@ -25,7 +25,7 @@ from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.logs import follow_log, read_log
 from edgectl.usecases.plan import limit_plan_to_tasks, list_remote_commands, make_plan
 from edgectl.usecases.probe import probe_fleet
-from edgectl.usecases.stop import restart_task, stop_tasks
+from edgectl.usecases.stop import restart_tasks, stop_tasks
 from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tasks
 from tests.executor.fake_fleet import FakeFleet, FakeHost
 
@@ -202,7 +202,7 @@ def test_a_manager_that_was_overtaken_is_refused_and_recovers(bench: Bench, tmp_
 
     def overtaken(_plan: Plan) -> bool:
         bench.now += 100.0
-        restart_task(other, "slam")
+        restart_tasks(other, ["slam"])
         bench.now -= 50.0
         return True
 
@@ -319,13 +319,13 @@ def test_restart_keeps_the_place(bench: Bench) -> None:
     host = bench.hosts.placed["slam"]
     since = bench.memory.placements["slam"].since
     old = bench.hosts[host].tasks["slam"]["instance"]
-    applied = restart_task(bench.fleet, "slam")
+    applied = restart_tasks(bench.fleet, ["slam"])
     assert applied.results is not None
     assert applied.results.actions[0].outcome is Outcome.DONE
     assert bench.hosts[host].tasks["slam"]["instance"] != old
     assert bench.memory.placements["slam"].since == since
     with pytest.raises(UsageError, match="camera"):
-        restart_task(bench.fleet, "camera")
+        restart_tasks(bench.fleet, ["camera"])
 
 
 def test_done_stops_a_task_until_it_is_reopened(bench: Bench) -> None:
@@ -386,11 +386,11 @@ def test_a_crash_loop_is_not_started_again_by_every_apply(bench: Bench) -> None:
 
 def test_restart_starts_what_was_given_up(bench: Bench) -> None:
     give_up_slam(bench)
-    assert restart_task(bench.fleet, "slam", lambda _plan: False).declined
+    assert restart_tasks(bench.fleet, ["slam"], lambda _plan: False).declined
     assert actions_by_task(make_plan(bench.fleet, POLICY))["slam"] is Action.UNPLACED, (
         "declined, so it is still given up"
     )
-    applied = restart_task(bench.fleet, "slam")
+    applied = restart_tasks(bench.fleet, ["slam"])
     assert applied.results is not None
     assert applied.results.done
     assert [action.task for action in applied.results.actions] == ["slam"]
@@ -398,11 +398,27 @@ def test_restart_starts_what_was_given_up(bench: Bench) -> None:
     assert not make_plan(bench.fleet, POLICY).changes
 
 
+def test_several_tasks_are_restarted_at_once_or_none_is(bench: Bench) -> None:
+    """One runs, the other was given up."""
+    give_up_slam(bench)
+    host = bench.hosts[bench.hosts.placed["navigation"]]
+    old = host.tasks["navigation"]["instance"]
+    with pytest.raises(UsageError, match="unknown task 'camera'"):
+        restart_tasks(bench.fleet, ["navigation", "slam", "camera"])
+    assert host.tasks["navigation"]["instance"] == old
+    applied = restart_tasks(bench.fleet, ["navigation", "slam", "navigation"])
+    assert applied.results is not None
+    assert applied.results.done
+    assert actions_by_task(applied.plan) == {"navigation": Action.RESTART, "slam": Action.START}
+    assert host.tasks["navigation"]["instance"] != old
+    assert bench.hosts[bench.hosts.placed["slam"]].tasks["slam"]["pid"]
+
+
 def test_restart_of_what_was_given_up_and_has_no_place(bench: Bench) -> None:
     give_up_slam(bench)
     operator_marks.cordon_hosts(bench.fleet, ["edge1", "edge2"])
     with pytest.raises(UsageError, match="slam has no placement now"):
-        restart_task(bench.fleet, "slam")
+        restart_tasks(bench.fleet, ["slam"])
 
 
 def test_reopen_lets_the_next_apply_start_what_was_given_up(bench: Bench) -> None:

@@ -29,6 +29,7 @@ from edgectl.views.dry_run import RequestsView
 from edgectl.views.events import EventsView
 from edgectl.views.explanation import ExplanationView
 from edgectl.views.glossary import KeyEntry, KeyType, list_keys
+from edgectl.views.graph import TaskGraphView
 from edgectl.views.history import HistoryView, RevisionView
 from edgectl.views.hook_trials import HookTrialsView
 from edgectl.views.host_keys import HostKeysView
@@ -69,6 +70,7 @@ REQUEST = {"host": "edge1", "phase": "start", "task": "slam", "command": "python
 def list_views() -> Iterator[View]:
     yield from (view for what, view in test_forms.views().items() if what not in ("plan", "snapshot"))
     yield DiffView(plan())
+    yield TaskGraphView(plan(), test_listing.TASKS)
     yield ReferenceView(find_reference("task.demand"))
     yield AllListingsView(
         [test_listing.listed(kind) for kind in (ListingKind.HOSTS, ListingKind.TASKS, ListingKind.LINKS)]

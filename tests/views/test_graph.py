@@ -5,7 +5,7 @@ from edgectl.executor.diff import plan_from_assignment
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
 from edgectl.scheduler.assign import assign
-from edgectl.views.graph import build_task_graph
+from edgectl.views.graph import TaskGraphView, build_task_graph
 from tests.builders import NOW, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 
 MERMAID = """\
@@ -49,3 +49,10 @@ def test_hosts_hold_their_tasks_and_needs_are_arrows() -> None:
     assert build_task_graph(plan, tasks).mermaid() == MERMAID
     assert build_task_graph(plan, tasks).dot().startswith(DOT)
     assert build_task_graph(plan, tasks).dot().endswith('  "slam" -> "map-merge";\n}\n')
+    items = {item["task"]: item for item in TaskGraphView(plan, tasks).items()}
+    assert {task: item["host"] for task, item in items.items()} == {
+        "slam": "edge1",
+        "map-merge": "edge1",
+        "huge": None,
+    }
+    assert items["map-merge"]["needs"] == [{"task": "slam", "until": "ready"}]

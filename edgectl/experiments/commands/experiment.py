@@ -16,6 +16,7 @@ from edgectl.views.output_format import EXPERIMENT_FORMATS, OutputFormat
 
 if TYPE_CHECKING:
     from edgectl.experiments.model.experiment import Experiment, ExperimentRun
+    from edgectl.usecases.fleet import Fleet
 
 RUNS_DIR = Path("runs")
 _INTERRUPT_NOTICE = "ending the trial and stopping its tasks; press Ctrl-C again to stop at once"
@@ -37,6 +38,7 @@ def experiment_run_command(
         Path | None, Option("--out", metavar="DIR", help="Directory of the run; default: runs/NAME.")
     ] = None,
     repetitions: _RepetitionsOption = None,
+    dry_run: options.DryRunMarkOption = False,
     lock_timeout: options.LockTimeoutOption = None,
     accept_new: options.AcceptNewOption = False,
 ) -> None:
@@ -49,6 +51,7 @@ def experiment_run_command(
     Examples:
         edgectl experiment run tasks/patrol/experiment.yaml
         edgectl experiment run tasks/patrol/experiment.yaml -n 1 --out again
+        edgectl experiment run tasks/patrol/experiment.yaml --dry-run
     """
     from edgectl.cli.connect import build_fleet, parse_lock_timeout
     from edgectl.cli.signals import stop_control_on_signal
@@ -67,13 +70,17 @@ def experiment_run_command(
     loaded = replace(loaded, exposed=(*loaded.exposed, *select_exposed(problems.warnings)))
     experiment = replace(experiment, repetitions=repetitions or experiment.repetitions)
     _check_truth_maps(experiment, spec.parent)
+    directory = out or RUNS_DIR / experiment.name
+    if dry_run:
+        _print_missing_trials(build_fleet(loaded, asking=False), experiment, directory)
+        return
     control = Control()
     with (
         stop_control_on_signal(control, _INTERRUPT_NOTICE),
         show_trial_progress(len(experiment.schemes) * experiment.repetitions) as listener,
     ):
         given = ExperimentOptions(
-            directory=out or RUNS_DIR / experiment.name,
+            directory=directory,
             spec_directory=spec.parent,
             lock_timeout=parse_lock_timeout(lock_timeout),
             listener=listener,
@@ -87,6 +94,16 @@ def experiment_run_command(
         raise Exit(ExitCode.INTERRUPTED)
     if not all(trial.finished for trial in run.trials):
         raise Exit(ExitCode.PARTLY)
+
+
+def _print_missing_trials(fleet: "Fleet", experiment: "Experiment", directory: Path) -> None:
+    from edgectl.experiments.runner import list_missing_trials
+
+    missing = list_missing_trials(fleet, experiment, directory)
+    for scheme, repetition in missing:
+        console.print_text(f"trial/{scheme.name}/{repetition} run{options.DRY_RUN_SUFFIX}\n")
+    if not missing:
+        console.print_message(f"no trial is missing in {directory}")
 
 
 def _check_truth_maps(experiment: "Experiment", directory: Path) -> None:
