@@ -11,16 +11,15 @@ from dataclasses import field
 from math import inf
 
 import numpy as np
-from numpy.typing import NDArray
 
 from edgectl.dataclass import dataclass
 from edgectl.model.policy import Weights
 from edgectl.model.resource import NETWORK
+from edgectl.scheduler.array_types import Array, Flags, Indexes
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.demand import ClassDemands
 from edgectl.scheduler.edge_groups import group_edges
 
-Array = NDArray[np.float64]
 # Numbers that one block holds: some 4 MiB.
 MAX_BLOCK = 500_000
 
@@ -57,10 +56,10 @@ class MeasuredRows:
     weights: Weights
     resources: tuple[str, ...]
     kinds: Sequence[str]
-    kind_of: NDArray[np.intp]
+    kind_of: Indexes
     raw: Array
     usable: Array
-    spread: NDArray[np.intp]
+    spread: Indexes
     size: int
     blocks: list[DemandBlock] = field(default_factory=list)
 
@@ -112,7 +111,7 @@ class MeasuredRows:
             even=(rates == rates[:, :1]).all(axis=1).tolist(),
         )
 
-    def _list_amounts(self, names: Sequence[str], resource: str) -> tuple[Array, NDArray[np.bool_]]:
+    def _list_amounts(self, names: Sequence[str], resource: str) -> tuple[Array, Flags]:
         """By task and class of hosts: the demand, and whether it is a share."""
         found: list[tuple[float, bool]] = []
         for name in names:
@@ -123,7 +122,7 @@ class MeasuredRows:
 
 
 def build_measured_rows(
-    fleet: Capacities, names: Sequence[str], kinds: Sequence[str], kind_of: NDArray[np.intp], weights: Weights
+    fleet: Capacities, names: Sequence[str], kinds: Sequence[str], kind_of: Indexes, weights: Weights
 ) -> MeasuredRows:
     """The demands of ``names`` in ``fleet``, nothing computed yet. ``kind_of``: by edge."""
     edges = fleet.edges

@@ -30,6 +30,7 @@ from edgectl.scheduler.operator_pins import (
     pin_tasks,
     resolve_pins,
 )
+from edgectl.scheduler.pass_state import PlacementPass
 from edgectl.scheduler.placement_rules import NO_RULES, build_placement_rules
 from edgectl.scheduler.policies import POLICIES
 from edgectl.scheduler.preference import sign_weights
@@ -39,7 +40,6 @@ from edgectl.scheduler.scan import build_demand_shares
 from edgectl.scheduler.sequence import order_tasks
 from edgectl.scheduler.settle import run_once, run_with_groups
 from edgectl.scheduler.shortage import compute_shortages
-from edgectl.scheduler.single_pass import PlacementPass
 from edgectl.scheduler.standby_steps import build_standby_steps
 from edgectl.scheduler.standbys import place_standbys
 

@@ -78,6 +78,8 @@ class ClassDemands:
     def find_least(self, resource: str, capacity: float) -> float:
         """The least that the demand means on a host with ``capacity`` of ``resource``, whatever its class."""
         values = [found.used[resource] for found in self.known.values() if resource in found.used]
+        if not values:
+            return (self.stated[resource] or ZERO).of(capacity)  # as on every class
         if self._follows and len(values) == len(self.known):
             return min(values)  # elsewhere the greatest counts
         return min((demand[resource] or ZERO).of(capacity) for demand in self.list_all())

@@ -13,17 +13,16 @@ from edgectl.scheduler.initial_state import InitialState
 from edgectl.scheduler.latency import count_missed_deadlines
 from edgectl.scheduler.ledger import compute_demand_usage
 from edgectl.scheduler.optimum import breaks_no_more_rules, is_overload_kept, value_plan
-from edgectl.scheduler.placement_rules import NO_RULES, build_placement_rules
-from edgectl.scheduler.repair import repair_plan
-from edgectl.scheduler.single_pass import (
+from edgectl.scheduler.pass_state import (
     PassResult,
     PlacementPass,
     collect_prior_moves,
     count_moves_left,
-    repeats_at_a_glance,
-    run_pass,
     state_from_pass,
 )
+from edgectl.scheduler.placement_rules import NO_RULES, build_placement_rules
+from edgectl.scheduler.repair import repair_plan
+from edgectl.scheduler.single_pass import repeats_at_a_glance, run_pass
 
 # Passes that are tried before a plan counts as one that does not settle (ADR 0010).
 MAX_PASSES = 5
