@@ -28,19 +28,21 @@ SHAKES = 8
 
 
 def empty_pool(packing: Packing, item: Item, movable: Collection[str]) -> bool:
-    """Insert ``item``, and again and again those that were ejected for it, the hardest to place last."""
+    """Insert ``item``, which fits nowhere as it is, and again and again those that were ejected for it, the
+    hardest to place last.
+    """
     before = dict(packing.at), [row.copy() for row in packing.free], [names.copy() for names in packing.on]
     charged = dict(packing.charged)
     shaken = [name for name in packing.at if name in movable and _may_shake(packing, packing.items[name])]
     penalties: dict[str, int] = {}
     pool = [item]
-    for _ in range(MAX_STEPS):
+    for step in range(MAX_STEPS):
         if not pool:
             return True
         if packing.work <= 0:
             break
         current = pool.pop()
-        if insert_item(packing, current) or shift_chain(packing, current, movable, longest=POOL_CHAIN):
+        if step and _insert(packing, current, movable):
             continue
         penalties[current.name] = penalties.get(current.name, 1) + 1
         found = _find_ejection(packing, current, movable, penalties)
@@ -58,6 +60,10 @@ def empty_pool(packing: Packing, item: Item, movable: Collection[str]) -> bool:
     packing.at, packing.free, packing.on = before
     packing.charged = charged
     return False
+
+
+def _insert(packing: Packing, item: Item, movable: Collection[str]) -> bool:
+    return insert_item(packing, item) or shift_chain(packing, item, movable, longest=POOL_CHAIN)
 
 
 def _may_shake(packing: Packing, item: Item) -> bool:
@@ -136,14 +142,14 @@ def _list_ejected_names(
     needs = [need for _, need in lacks]
     if any(map(lt, map(sum, gains), needs)):
         return []
-    for count in range(1, MAX_EJECTED + 1):
+    for count in range(1, most + 1):
         packing.work -= comb(len(others), count)
         covers: Iterable[Sequence[str]] = _list_covers(others, gains, needs, count)
         if conflicts:
             covers = [names for names in covers if solves(names, conflicts)]
         found = list(covers)
         if found:
-            return found if count <= most else []
+            return found
     return []
 
 
