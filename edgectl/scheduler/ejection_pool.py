@@ -4,7 +4,7 @@
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import combinations
 from math import comb
-from operator import ge, lt
+from operator import lt
 
 from edgectl.scheduler.chain_search import shift_chain
 from edgectl.scheduler.packing import (
@@ -137,7 +137,8 @@ def _list_ejected_names(
     are of more than ``most`` items.
     """
     packing.work -= 1
-    lacks, conflicts = list_lacks(packing, item, place), list_conflicts(packing, item, place)
+    lacks = list_lacks(packing, item, place)
+    conflicts = list_conflicts(packing, item, place) if item.limits else ()
     gains = [[packing.charged[name].get(column, 0.0) for name in others] for column, _ in lacks]
     needs = [need for _, need in lacks]
     if any(map(lt, map(sum, gains), needs)):
@@ -159,7 +160,10 @@ def _list_covers(
     """All ``count`` of ``names`` whose ``gains``, by column, add up to ``needs``."""
     columns = list(zip(gains, needs, strict=True))
     if count == 1:
-        return [[name] for name, *gain in zip(names, *gains, strict=True) if all(map(ge, gain, needs))]
+        enough: Sequence[int] = range(len(names))
+        for gain, need in columns:
+            enough = [index for index in enough if gain[index] >= need]
+        return [[names[index]] for index in enough]
     if any(sum(sorted(column)[-count:]) < need - EPSILON for column, need in columns):
         return []  # not even the greatest
     found = []

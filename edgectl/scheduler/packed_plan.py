@@ -200,9 +200,10 @@ def _build_share_table(frame: PlanFrame, task: Task, here: int | None, places: S
     def measure(place: int) -> Shares:
         if exact is not None and place == here:
             return exact
-        if place >= edges or not get_rows() or place in _find_lacking_edges(frame, task):
+        known = get_rows() if place < edges else ()
+        if not known or place in _find_lacking_edges(frame, task):
             return _measure_shares(frame, task, place)
-        return _NO_HOST_SHARES | {column: row[place] for column, row in get_rows()}
+        return _NO_HOST_SHARES | {column: row[place] for column, row in known}
 
     def list_columns() -> ShareColumns | None:
         on_edges = max(places, default=0) < edges and (here is None or here < edges)
