@@ -49,12 +49,14 @@ def _usage_error_from_typer(error: Exception, words: Sequence[str] = ()) -> Usag
             hint=f"run {command} {format_alternatives(words)}",
         )
     said = " ".join(error.format_message().split()).replace("a valid int range", "a whole number").rstrip(".")
-    if command == "edgectl status" and said.partition(": ")[2] in _OF_LISTS:
+    guessed = _TYPER_SUGGESTION.fullmatch(said)
+    problem = guessed[1] if guessed else said
+    if command == "edgectl status" and problem.removeprefix("No such option: ") in _OF_LISTS:
         listed = shlex.join(["edgectl", "get", "tasks", *words[1:]])
-        return UsageError(said, hint=f"status is a report of several tables; a list takes it: {listed}")
-    if guessed := _TYPER_SUGGESTION.fullmatch(said):
+        return UsageError(problem, hint=f"status is a report of several tables; a list takes it: {listed}")
+    if guessed:
         return UsageError(
-            guessed[1],
+            problem,
             hint=f"did you mean {format_alternatives(guessed[2].replace(chr(39), '').split(', '))}?",
         )
     if command == "edgectl" and said.startswith("No such option"):

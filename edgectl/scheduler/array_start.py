@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Start of a task on a fleet of very many pairs, where eq. (4) alone decides (ADR 147). Pure.
 
-Nearly every task of a large plan starts, is bound by no rule between tasks, and has one host that is better
-than all others. Then the totals of the scan say who wins, and the numbers of two hosts are all that is
-computed besides. Wherever anything else may decide, the answer is None, and ``single_pass`` weighs the task
-in full: both ways make the same decision to the last bit.
+Nearly every task of a large plan starts and is bound by no rule between tasks. Then the totals of the scan,
+and the tie rule where they are equal, say who wins, and the numbers of two hosts are all that is computed
+besides. Wherever anything else may decide, the answer is None, and ``single_pass`` weighs the task in full:
+both ways make the same decision to the last bit.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence

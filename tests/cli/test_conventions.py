@@ -155,6 +155,13 @@ def test_a_comment_silences_a_warning_of_its_line_or_the_line_below(
             ),
         ),
         (
+            "status --field cpu.used_cores",
+            (
+                "error: No such option: --field\nhint: status is a report of several tables; a list takes it: "
+                "edgectl get tasks --field cpu.used_cores\n"
+            ),
+        ),
+        (
             "status -i X -l robot=robot1",
             (
                 "error: No such option: -l\nhint: status is a report of several tables; a list takes it: "

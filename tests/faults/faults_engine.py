@@ -81,12 +81,17 @@ def kill_engine(fleet: FaultFleet) -> None:
         raise ExpectationError("slam was started again")
 
 
-@fault("engine killed at a random moment of an apply", kinds=CONTAINERS, full=6)
-def kill_engine_during_apply(fleet: FaultFleet) -> None:
+def start_changes(fleet: FaultFleet) -> "subprocess.Popen[str]":
+    """Start an apply that starts, stops and moves tasks, and wait for a random moment of it."""
     prepare_changes(fleet)
     running = fleet.start_edgectl(*APPLY)
     fleet.wait(fleet.random.uniform(0.3, 4.0))
-    engine = draw_engine(fleet)
+    return running
+
+
+@fault("engine killed at a random moment of an apply", kinds=CONTAINERS, full=6)
+def kill_engine_during_apply(fleet: FaultFleet) -> None:
+    running, engine = start_changes(fleet), draw_engine(fleet)
     engine.kill()
     fleet.wait(fleet.random.uniform(0.0, 3.0))
     engine.start()
@@ -96,10 +101,7 @@ def kill_engine_during_apply(fleet: FaultFleet) -> None:
 @fault("engine frozen at a random moment of an apply", kinds=CONTAINERS, full=4)
 def freeze_engine_during_apply(fleet: FaultFleet) -> None:
     """It thaws after the apply, and does then what it was asked for."""
-    prepare_changes(fleet)
-    running = fleet.start_edgectl(*APPLY)
-    fleet.wait(fleet.random.uniform(0.3, 4.0))
-    engine = draw_engine(fleet)
+    running, engine = start_changes(fleet), draw_engine(fleet)
     engine.freeze()
     fleet.wait_for_edgectl(running).expect_exit(0, 1, 4)
     engine.thaw()

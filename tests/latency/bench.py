@@ -35,6 +35,9 @@ _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 _SHARES = Path("/sys/fs/cgroup/cpu")
 # Weight of the measured processes against all others on this machine: 256 to 1.
 _WEIGHT = 262_144
+# The bucket of a shaped link: one packet, or what passes while a timer is late (s); more would pass unshaped.
+_PACKET_BYTES = 1600
+_TIMER_S = 250e-6
 _Z975 = NormalDist().inv_cdf(0.975)
 
 
@@ -48,6 +51,11 @@ class Link:
     def bytes_per_s(self) -> float:
         """What is left for data: what `edgectl probe --bandwidth` measures."""
         return self.rate / 8.0 * _PAYLOAD
+
+    @property
+    def bucket_bytes(self) -> int:
+        """What the shaper lets pass at once."""
+        return max(_PACKET_BYTES, round(self.rate / 8.0 * _TIMER_S))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +110,7 @@ class Bench:
     def shape(self, link: Link) -> None:
         """Shape both directions."""
         for host in (self.edge, self.robot):
-            words = f"qdisc replace dev eth0 root tbf rate {link.rate:.0f}bit burst 3100 latency 1s"
+            words = f"qdisc replace dev eth0 root tbf rate {link.rate:.0f}bit burst {link.bucket_bytes} latency 1s"
             error = run_tc(*words.split(), netns=host.pid)
             assert not error, error
 

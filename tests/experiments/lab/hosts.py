@@ -33,6 +33,9 @@ MEMORY = {
     for name, entry in FLEET[kind].items()
 }
 
+# Of a link: the kernel's default. A picture is 53 frames, and a queue that is shorter loses some of each.
+QUEUE_FRAMES = 1000
+
 
 @dataclass(frozen=True, kw_only=True)
 class Lab:
@@ -132,7 +135,7 @@ def _shape_links(
                 classes[robot].setdefault(edge, []).append([device, place])
                 rules += [
                     f"class add dev {device} parent 1: classid {place} htb rate {radio.NEAR} burst 16k",
-                    f"qdisc add dev {device} parent {place} pfifo limit 40",
+                    f"qdisc add dev {device} parent {place} pfifo limit {QUEUE_FRAMES}",
                     f"filter add dev {device} parent 1: protocol ip u32 match ip src {computers[other].address}/32 flowid {place}",
                 ]
             for rule in rules:
