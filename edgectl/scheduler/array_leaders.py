@@ -171,7 +171,7 @@ def _choose_rival(
     """The place that comes next to ``first``; None where rounding may decide."""
     least = max(total for place, total in totals.items() if place != first) - 2 * EPSILON
     near = [place for place, total in totals.items() if total >= least or place == first]
-    if not is_ranking_full(start.context, range(start.context.fleet.edges)):
+    if len(near) > SHORT_RANKING and not is_ranking_full(start.context, range(start.context.fleet.edges)):
         near = sorted(near, key=totals.__getitem__, reverse=True)[:SHORT_RANKING]
     rivals = sorted(place for place in near if place != first)
     if len(rivals) == 1:
