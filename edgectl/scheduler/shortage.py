@@ -2,7 +2,7 @@
 """Shortage: what a fleet lacks, whatever the placement (ADR 0062). Pure."""
 
 from collections.abc import Sequence
-from math import fsum
+from math import fsum, inf
 
 from edgectl.model.assignment import Shortage
 from edgectl.model.inventory import Inventory
@@ -48,6 +48,8 @@ def compute_shortages(state: InitialState, tasks: Tasks) -> tuple[Shortage, ...]
     for resource in HOST_RESOURCES if edges else ():
         # fsum: a sum that is rounded once does not depend on the order of the files.
         capacity = fsum(fleet.usable[resource.name][edge] for edge in edges)
+        if capacity == inf:
+            continue
         load = fsum(state.ledger.used[resource.name][edge] for edge in edges)
         smallest = min(fleet.raw[resource.name][edge] for edge in edges)
         wanted = fsum(_list_least_demands(fleet, waiting, resource, smallest))
