@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: docs versions image model browser engines sensitivity latency handoffs ros ros-whole throughput quality demo experiment evaluation test test-fast check style setup audit bench faults fuzz soak clean containers
+.PHONY: docs versions image model browser engines sensitivity latency handoffs ros ros-whole throughput quality demo experiment evaluation test test-fast check style setup audit bench faults managers fuzz soak clean containers
 PY := .venv/bin/python
 export PYTHON
 
@@ -120,6 +120,11 @@ faults: setup
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.faults --seed $(or $(SEED),1)
 	@$(PY) -m tests.simulation --seed $(or $(SEED),1)
 	@$(PY) -m tests.suite --whole tests/usecases/test_recovery.py tests/usecases/test_interrupted_commands.py tests/usecases/test_random_events.py -n 2 --dist load
+
+# Faults of three managers and an etcd of three members, on from those in the record: MINUTES=10 of the next ones.
+managers: setup
+	@.ci/need-etcd
+	@$(PY) -m tests.faults --only "three managers" --times 1 --jobs $(or $(JOBS),2) --minutes $(or $(MINUTES),60) --record tests/faults/three_managers.jsonl
 
 # At least 100,000 damaged inputs to every decoder together; make fuzz SEED=7 damages them otherwise.
 # Then the properties that make test checks with the same examples in every run, with others.

@@ -74,7 +74,7 @@ ALLOWED = {
 }
 # The modules of the agent that both sides read, and the rooms that read them.
 PROTOCOL = "edgectl.agent.link.protocol"
-BOTH_SIDES = ("edgectl.agent.link", PROTOCOL, "edgectl.agent.link.sketch")
+BOTH_SIDES = ("edgectl.agent.link", PROTOCOL, "edgectl.agent.link.sketch", "edgectl.agent.link.frames")
 PROTOCOL_READERS = {
     "model",
     "config",

@@ -10,7 +10,13 @@ from edgectl.errors import EdgectlError, FleetBusyError, UsageError
 from edgectl.executor.operator_plans import list_running_instances
 from edgectl.experiments.event_actions import Ask, ask_nobody
 from edgectl.experiments.files.run_codec import digest_experiment
-from edgectl.experiments.files.run_directory import load_run, load_run_to_resume, save_run, save_trial
+from edgectl.experiments.files.run_directory import (
+    create_run_directory,
+    load_run,
+    load_run_to_resume,
+    save_run,
+    save_trial,
+)
 from edgectl.experiments.model.experiment import (
     Experiment,
     ExperimentRun,
@@ -65,28 +71,38 @@ def run_experiment(fleet: Fleet, experiment: Experiment, options: ExperimentOpti
     Raises:
         UsageError: the directory holds a run of other files.
         FleetBusyError: the fleet is not idle: tasks run, a host's CPU is in use, or a host does not answer.
-        LockBusyError: another edgectl is changing this fleet.
+        LockBusyError: another edgectl is changing this fleet, or writes into the directory.
         CoordinationError: the etcd of the fleet does not answer.
     """
     digest = digest_experiment(experiment, fleet.inventory, fleet.tasks)
-    known = _load_matching_run(options.directory, digest, fleet)
+    _load_matching_run(options.directory, digest, fleet)
     with (
-        FleetLock(fleet.state, verb="experiment", timeout=options.lock_timeout, clock=fleet.clock),
+        _hold_lock(fleet.state, fleet, options),
         hold_in_etcd(fleet, "experiment", patience_s=options.lock_timeout),
     ):
         # Trials have a state of their own, which no other machine takes over.
         fleet = replace(fleet, inventory=replace(fleet.inventory, coordination=None))
         clean_up_trials(fleet)
+        known = _load_matching_run(options.directory, digest, fleet)
         missing = _order_missing_trials(experiment, known)
         snapshot = (
             _wait_until_idle(fleet, experiment, options.control, _FIRST_IDLE_CHECKS) if missing else None
         )
         machines = _capacities_from_snapshot(snapshot) if snapshot else known.machines if known else {}
-        save_run(options.directory, ExperimentRun(experiment=experiment, digest=digest, machines=machines))
-        if snapshot:
-            _warn_about_cordons(fleet)
-            _run_missing_trials(fleet, experiment, missing, snapshot, options)
+        header = ExperimentRun(experiment=experiment, digest=digest, machines=machines)
+        create_run_directory(options.directory)
+        # An experiment of another fleet would write its trials among these.
+        with _hold_lock(options.directory, fleet, options):
+            missing = _order_missing_trials(experiment, _load_matching_run(options.directory, digest, fleet))
+            save_run(options.directory, header)
+            if snapshot:
+                _warn_about_cordons(fleet)
+                _run_missing_trials(fleet, experiment, missing, snapshot, options)
     return load_run(options.directory)
+
+
+def _hold_lock(directory: Path, fleet: Fleet, options: ExperimentOptions) -> FleetLock:
+    return FleetLock(directory, verb="experiment", timeout=options.lock_timeout, clock=fleet.clock)
 
 
 def _load_matching_run(directory: Path, digest: str, fleet: Fleet) -> ExperimentRun | None:

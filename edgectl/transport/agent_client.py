@@ -195,6 +195,17 @@ def find_payload(stdout: bytes, marker: str) -> bytes | None:
     return payload if at < 0 else None
 
 
+def split_frame(buffer: bytes, marker: str) -> tuple[bytes, bytes] | None:
+    """The payload of the first frame with this marker and what follows it; None until all of it has come."""
+    mark = FRAME_MARK + marker.encode() + b" "
+    at = buffer.find(mark)
+    payload = _parse_frame_at(buffer, at + len(mark)) if at >= 0 else None
+    end = buffer.find(b"\n", at + len(mark)) + 1 + len(payload or b"")
+    if payload is None or buffer[end : end + 1] != b"\n":
+        return None
+    return payload, buffer[end + 1 :]
+
+
 def _parse_frame_at(text: bytes, at: int) -> bytes | None:
     match = re.compile(rb"([0-9]{1,8}) ([0-9a-f]{64})\n").match(text, at)
     if match is None:
@@ -340,15 +351,12 @@ class _ChunkReader:
                 yield rest[:length]
 
     def _opened(self) -> bool:
-        mark = FRAME_MARK + self._marker.encode() + b" "
-        at = self._buffer.find(mark)
-        payload = _parse_frame_at(self._buffer, at + len(mark)) if at >= 0 else None
-        end = self._buffer.find(b"\n", at + len(mark)) + 1 + len(payload or b"")
-        if payload is None or self._buffer[end : end + 1] != b"\n":
+        found = split_frame(self._buffer, self._marker)
+        if found is None:
             if len(self._buffer) > protocol.MAX_REPLY_BYTES:
                 raise ReplyError(f"no valid reply from the agent: {_format_excerpt(self._buffer)}")
             return False
+        payload, self._buffer = found
         check_reply(parse_reply_json(payload))
-        self._buffer = self._buffer[end + 1 :]
         self._open = True
         return True

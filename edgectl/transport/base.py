@@ -8,8 +8,8 @@ the operation and the task, because commands and environments may hold secrets.
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import Protocol, Self
+from contextlib import AbstractContextManager, contextmanager
+from typing import Protocol, Self, runtime_checkable
 
 from edgectl.dataclass import dataclass
 from edgectl.errors import HostError
@@ -100,6 +100,40 @@ class Session(Protocol):
     def __enter__(self) -> Self: ...
 
     def __exit__(self, *exc: object) -> None: ...
+
+
+class OpenExchange(Exchange, Protocol):
+    """An exchange that many requests share: one thread reads, others write, one at a time."""
+
+    def write(self, data: bytes, *, timeout: float) -> None:
+        """Write ``data``; a command that has ended is no error.
+
+        Raises:
+            DeadlineError, ConnectError: as `read`.
+        """
+        ...
+
+    def expect_reply(self, *, timeout: float, limit: int) -> AbstractContextManager[None]:
+        """Let the command send a reply of ``limit`` bytes; cut a connection that stalls for ``timeout``
+        seconds and more.
+        """
+        ...
+
+
+@runtime_checkable
+class ConversableSession(Session, Protocol):
+    """A session that can keep one command running beside all others."""
+
+    def converse(
+        self, command: str, stdin: bytes, *, timeout: float, give_way: Callable[[], None]
+    ) -> OpenExchange:
+        """As `Session.exchange`. ``give_way`` is called when another call finds no room beside it.
+
+        Raises:
+            DeadlineError: it did not start or read in time.
+            ConnectError: the connection was lost, or has no room for it.
+        """
+        ...
 
 
 class Transport(Protocol):

@@ -153,11 +153,19 @@ class SessionPool:
     """
 
     def __init__(
-        self, transport: Transport, *, forget_s: float = math.inf, clock: Callable[[], float] = time.monotonic
+        self,
+        transport: Transport,
+        *,
+        forget_s: float = math.inf,
+        clock: Callable[[], float] = time.monotonic,
+        converse: bool = False,
     ) -> None:
+        """``converse``: an agent stays on each host while requests that read follow each other closely."""
         self._transport = transport
+        self._converse = converse
         self._forget_s = forget_s
         self._clock = clock
+        self._staying: dict[str, set[str]] = {}
         self._open: dict[str, _Connection] = {}
         self._lost: set[_Connection] = set()
         self._refused: dict[str, tuple[HostError, float]] = {}
@@ -193,10 +201,17 @@ class SessionPool:
 
     def _connect(self, host: Host, timeout: float) -> _Connection:
         try:
-            return _Connection(self._transport.connect(host, timeout=timeout))
+            session = self._transport.connect(host, timeout=timeout)
         except (AuthError, HostKeyError) as error:
             self._refused[host.name] = error, self._clock() + self._forget_s
             raise
+        if not self._converse:
+            return _Connection(session)
+        # Imported here: most commands ask each host once.
+        from edgectl.transport.conversation import share_agent
+
+        with self._lock:
+            return _Connection(share_agent(session, host, self.address, self._staying))
 
     @contextlib.contextmanager
     def _open_channel(self, kept: _Connection) -> Iterator[None]:
@@ -223,8 +238,15 @@ class SessionPool:
 
     def close(self) -> None:
         """Close every session."""
-        for kept in (*self._open.values(), *self._lost):
-            kept.session.close()
+        everything = [kept.session for kept in (*self._open.values(), *self._lost)]
+        for session in everything:
+            session.close()
+        if self._converse:
+            from edgectl.transport.conversation import ConversingSession
+
+            for session in everything:
+                if isinstance(session, ConversingSession):
+                    session.join()
         self._open.clear()
         self._lost.clear()
 

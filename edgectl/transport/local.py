@@ -11,7 +11,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from typing import IO, Self
 
 from edgectl.errors import ConnectError, DeadlineError, ReplyError
@@ -89,6 +89,13 @@ class LocalSession:
             kept.push(stack.pop_all())
             return exchange
 
+    def converse(
+        self, command: str, stdin: bytes, *, timeout: float, give_way: Callable[[], None]
+    ) -> "LocalExchange":
+        """As ``ConversableSession.converse``; there is room for any number of processes."""
+        del give_way
+        return self.exchange(command, stdin, timeout=timeout)
+
     @contextlib.contextmanager
     def _started(
         self, command: str, stderr: IO[bytes] | int = subprocess.PIPE
@@ -165,6 +172,11 @@ class LocalExchange:
                 if not select.select([], [pipe], [], max(0.0, deadline - time.monotonic()))[1]:
                     raise DeadlineError(f"no answer within {timeout:.3g} s", host=self._name)
                 data = data[os.write(pipe.fileno(), data[:_BLOCK_BYTES]) :]
+
+    def expect_reply(self, *, timeout: float, limit: int) -> AbstractContextManager[None]:
+        """As ``OpenExchange.expect_reply``: a pipe has no limit, and its writer a deadline."""
+        del timeout, limit
+        return contextlib.nullcontext()
 
     def finish(self, data: bytes, *, timeout: float) -> None:
         """As ``Exchange.finish``."""

@@ -14,7 +14,7 @@ import shutil
 import signal
 import subprocess
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from types import MappingProxyType
@@ -22,7 +22,7 @@ from typing import IO, Self
 
 from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError, HostKeyError
 from edgectl.model.inventory import Host
-from edgectl.transport.base import Exchange, Reply
+from edgectl.transport.base import Exchange, OpenExchange, Reply
 from edgectl.transport.local import LocalSession
 from edgectl.transport.sockets import CONNECT_TIMEOUT_S
 from edgectl.transport.ssh_config import SshConfigResolver, build_ssh_options, parse_jump_host
@@ -219,6 +219,14 @@ class OpenSshSession:
 
     def exchange(self, command: str, stdin: bytes, *, timeout: float) -> Exchange:
         """Run ``command`` and leave its input open (see `Session.exchange`); login errors show at its end."""
+        line = "exec " + shlex.join([*self._command, command])
+        return LocalSession(self.name).exchange(line, stdin, timeout=timeout, check_end=self._check_end)
+
+    def converse(
+        self, command: str, stdin: bytes, *, timeout: float, give_way: Callable[[], None]
+    ) -> OpenExchange:
+        """As ``ConversableSession.converse``; its connection is its own, so there is always room."""
+        del give_way
         line = "exec " + shlex.join([*self._command, command])
         return LocalSession(self.name).exchange(line, stdin, timeout=timeout, check_end=self._check_end)
 

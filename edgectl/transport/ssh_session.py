@@ -41,6 +41,7 @@ class SshSession:
         self._client = client
         self._line = line
         self._after = after
+        self._give_way: Callable[[], None] | None = None
         self._lock = threading.Lock()
 
     @property
@@ -51,8 +52,7 @@ class SshSession:
     def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
         """Run ``command`` (see `Session.run`)."""
         deadline = time.monotonic() + timeout
-        # What is read until the limit is seen, and what the window lets come meanwhile.
-        most = 2 * limit + MAX_LOGIN_BYTES
+        most = get_most_bytes(limit)
         with self.allowance.grant(most), self._channel(command, stdin, deadline, window=limit) as channel:
             return _collect_reply(channel, deadline, limit, timeout)
 
@@ -63,7 +63,7 @@ class SshSession:
             self.translate_errors(idle_timeout),
             contextlib.closing(self._open(time.monotonic() + idle_timeout)) as channel,
         ):
-            with watchdog(idle_timeout + GRACE_S, self._cut):
+            with watchdog(idle_timeout + GRACE_S, self.cut):
                 _start_command(channel, command, stdin, idle_timeout)
             arrived = _watch_arrivals(channel)
             while True:
@@ -80,12 +80,25 @@ class SshSession:
         deadline = time.monotonic() + timeout
         stack = contextlib.ExitStack()
         with stack, self.translate_errors(timeout):
-            with watchdog(timeout + GRACE_S, self._cut):
-                stack.enter_context(self.allowance.grant(MAX_STREAM_BYTES))
+            stack.enter_context(self.allowance.grant(MAX_STREAM_BYTES))
+            with watchdog(timeout + GRACE_S, self.cut):
                 channel = stack.enter_context(contextlib.closing(self._open(deadline)))
-                channel.settimeout(timeout)
-                channel.exec_command(command)
-                _feed_input(channel, stdin, last=False)
+                _start_exchange(channel, command, stdin, timeout)
+            return SshExchange(self, channel, stack.pop_all())
+
+    def converse(
+        self, command: str, stdin: bytes, *, timeout: float, give_way: Callable[[], None]
+    ) -> "SshExchange":
+        """Keep ``command`` running beside the others (see `ConversableSession.converse`)."""
+        deadline = time.monotonic() + timeout
+        self._give_way = give_way
+        stack = contextlib.ExitStack()
+        with stack, self.translate_errors(timeout):
+            # Only its first word; after that each request grants what it may bring.
+            self.allowance.renew(MAX_LOGIN_BYTES)
+            with watchdog(timeout + GRACE_S, self.cut):
+                channel = stack.enter_context(contextlib.closing(self._open_once(deadline, None)))
+                _start_exchange(channel, command, stdin, timeout)
             return SshExchange(self, channel, stack.pop_all())
 
     def close(self) -> None:
@@ -93,7 +106,7 @@ class SshSession:
         with self._lock:
             after, self._after = self._after, None
         with contextlib.suppress(Exception):
-            self._cut()
+            self.cut()
             self._client.close()
             self.transport.join(1)
             self._line.close()
@@ -122,7 +135,8 @@ class SshSession:
             ours = translate_ssh_error(error, self.name)
             raise ours from (None if ours is error else error)
 
-    def _cut(self) -> None:
+    def cut(self) -> None:
+        """End the connection at once, from any thread."""
         hang_up(self._line)
 
     @contextlib.contextmanager
@@ -131,7 +145,7 @@ class SshSession:
     ) -> Iterator[paramiko.Channel]:
         """A channel on which ``command`` runs and has its input; errors within are translated."""
         seconds = deadline - time.monotonic()
-        with self.translate_errors(seconds), watchdog(seconds + GRACE_S, self._cut) as watch:
+        with self.translate_errors(seconds), watchdog(seconds + GRACE_S, self.cut) as watch:
             try:
                 with contextlib.closing(self._open(deadline, window)) as channel:
                     _start_command(channel, command, stdin, seconds)
@@ -159,6 +173,8 @@ class SshSession:
                 # Not only ChannelException: of two threads refused at once, paramiko gives the reason to one.
                 if not self.transport.is_active() or time.monotonic() + pause >= deadline:
                     raise
+                if self._give_way is not None:
+                    self._give_way()
                 time.sleep(pause)
         return self._open_once(deadline, window)
 
@@ -193,6 +209,19 @@ class SshExchange:
                 if not self._arrived.wait(max(0.0, deadline - time.monotonic())):
                     raise DeadlineError(f"no answer within {timeout:.3g} s")
 
+    def write(self, data: bytes, *, timeout: float) -> None:
+        """As ``OpenExchange.write``."""
+        with self._session.translate_errors(timeout):
+            self._channel.settimeout(timeout)
+            _feed_input(self._channel, data, last=False)
+
+    @contextlib.contextmanager
+    def expect_reply(self, *, timeout: float, limit: int) -> Iterator[None]:
+        """As ``OpenExchange.expect_reply``."""
+        session = self._session
+        with session.allowance.grant(get_most_bytes(limit)), watchdog(timeout + GRACE_S, session.cut):
+            yield
+
     def finish(self, data: bytes, *, timeout: float) -> None:
         """As ``Exchange.finish``."""
         with self._session.translate_errors(timeout):
@@ -208,6 +237,18 @@ class SshExchange:
         """As ``Exchange.close``."""
         with contextlib.suppress(Exception):
             self._stack.close()
+
+
+def get_most_bytes(limit: int) -> int:
+    """What a call brings at most: until ``limit`` is seen, and what the window lets come meanwhile."""
+    return 2 * limit + MAX_LOGIN_BYTES
+
+
+def _start_exchange(channel: paramiko.Channel, command: str, stdin: bytes, seconds: float) -> None:
+    """Run ``command``, write what it reads first, and leave its input open."""
+    channel.settimeout(seconds)
+    channel.exec_command(command)
+    _feed_input(channel, stdin, last=False)
 
 
 def _start_command(channel: paramiko.Channel, command: str, stdin: bytes, seconds: float) -> None:

@@ -62,7 +62,7 @@ def keep_sessions_open(fleet: Fleet) -> Iterator[Fleet]:
     """The fleet over sessions that stay open from scrape to scrape; an unreachable host is retried with
     back-off.
     """
-    with SessionPool(fleet.transport, forget_s=REFUSED_BACKOFF_S) as pool:
+    with SessionPool(fleet.transport, forget_s=REFUSED_BACKOFF_S, converse=True) as pool:
         yield dataclasses.replace(fleet, transport=BackoffTransport(pool))
 
 

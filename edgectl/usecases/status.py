@@ -19,7 +19,7 @@ def probe_repeatedly(
     """One probe, and another each time ``should_stop`` (which waits in between) returns false; sessions stay
     open.
     """
-    with SessionPool(fleet.transport, forget_s=REFUSED_BACKOFF_S) as pool:
+    with SessionPool(fleet.transport, forget_s=REFUSED_BACKOFF_S, converse=True) as pool:
         held = dataclasses.replace(fleet, transport=BackoffTransport(pool), show_probe=show_nothing)
         yield probe_fleet(held, options)
         while not should_stop():

@@ -152,7 +152,9 @@ class _WatchLoop:
     def _take(self, fleet: Fleet) -> None:
         """Switch to ``fleet`` with new connections; heartbeats go on over these while a cycle waits."""
         self._heartbeats.close()
-        self._pool = SessionPool(fleet.transport, forget_s=REFUSED_BACKOFF_S, clock=self._now_of(fleet))
+        self._pool = SessionPool(
+            fleet.transport, forget_s=REFUSED_BACKOFF_S, clock=self._now_of(fleet), converse=True
+        )
         self._patient = BackoffTransport(self._pool, clock=self._now_of(fleet))
         self._fleet = dataclasses.replace(fleet, transport=self._pool, warn=self._said.append)
         self._heartbeats.enter_context(send_heartbeats(self._fleet, lambda: self._answering))

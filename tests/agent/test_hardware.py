@@ -93,6 +93,12 @@ def test_cards_of_nvidia(no_card: Path, tmp_path: Path) -> None:
     assert found["power"] == {"used_watts": 71.25}
 
 
+def test_a_card_whose_driver_states_no_memory() -> None:
+    """As a board on which the GPU shares the memory of the host."""
+    found = hardware.parse_nvidia("97, [N/A], [N/A], [Not Supported]\n")
+    assert found == ({"gpu": {"gpus": 1.0, "used_gpus": 0.97}}, [])
+
+
 @pytest.mark.parametrize("text", ["", "No devices were found\n", "a, b, c, d\n", "1, 2\n", "-5, 1, 2, 3\n"])
 def test_an_answer_without_a_card(text: str) -> None:
     assert hardware.parse_nvidia(text)[0] == {}

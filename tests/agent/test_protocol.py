@@ -43,7 +43,9 @@ def test_every_reported_state_is_one_of_the_model() -> None:
     assert {state for state in TaskState if state.alive} == set(protocol.ALIVE_STATES)
 
 
-@pytest.mark.parametrize("operation", sorted({*OPERATIONS} - {protocol.OP_FOLLOW, protocol.OP_READ_STATE}))
+@pytest.mark.parametrize(
+    "operation", sorted({*OPERATIONS} - {protocol.OP_CONVERSE, protocol.OP_FOLLOW, protocol.OP_READ_STATE})
+)
 def test_every_operation_is_found(operation: str) -> None:
     assert callable(main._find_operation(operation))
 

@@ -354,6 +354,39 @@ def test_no_other_edgectl_changes_the_fleet_meanwhile(lab: Lab) -> None:
     assert len(lab.run(replace(SPEC, repetitions=1)).trials) == 2
 
 
+def test_no_other_fleet_s_experiment_writes_into_the_directory_meanwhile(tmp_path: Path) -> None:
+    lab, other = Lab(tmp_path / "lab"), Lab(tmp_path / "again")
+    other.directory = lab.directory
+
+    def look(course: TrialProgress) -> None:
+        with pytest.raises(LockBusyError, match=r"lock held by .*experiment"):
+            other.run()
+        lab.complete(course)
+
+    lab.mission = look
+    assert len(lab.run().trials) == 4
+    assert (other.seen, other.running()) == ([], [])
+    assert len(other.run().trials) == 4
+    assert order(other) == []
+
+
+def test_what_another_experiment_has_done_while_this_one_waited_is_not_done_again(lab: Lab) -> None:
+    other = replace(SPEC, repetitions=1)
+    options = ExperimentOptions(directory=lab.directory, spec_directory=Path(), lock_timeout=30.0)
+    done: list[ExperimentRun] = []
+
+    def wait_for_it(course: TrialProgress) -> None:
+        if not waiting.is_alive() and not done:
+            waiting.start()
+        lab.complete(course)
+
+    waiting = threading.Thread(target=lambda: done.append(run_experiment(lab.fleet, other, options)))
+    lab.mission = wait_for_it
+    first = lab.run(other)
+    waiting.join(30)
+    assert [run.trials for run in done] == [first.trials]
+
+
 def test_cordoned_hosts_get_no_task_and_are_named(lab: Lab) -> None:
     cordon_hosts(lab.fleet, ["edge1"])
     run = lab.run(replace(SPEC, repetitions=1))

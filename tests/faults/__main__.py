@@ -2,13 +2,23 @@
 """Fault injection on real hosts: ``python -m tests.faults``."""
 
 import argparse
+import math
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from tests.faults import fault_list
+from tests.faults import fault_list, injection_record
 from tests.faults.fleet import EdgectlVariant
-from tests.faults.registry import Fault, FaultRow, format_table, list_quick_cases, run_fault
+from tests.faults.injection_record import Case
+from tests.faults.registry import (
+    Fault,
+    FaultRow,
+    InjectionResult,
+    format_table,
+    list_quick_cases,
+    run_fault,
+)
 
 
 def main() -> int:
@@ -22,7 +32,7 @@ def main() -> int:
         "--only",
         default="",
         metavar="TEXT",
-        help="run faults whose name, or kind of host, contains this text",
+        help="run faults whose name contains this text, or whose kind of host or module (noise, link) it is",
     )
     parser.add_argument(
         "--hosts",
@@ -44,15 +54,45 @@ def main() -> int:
     parser.add_argument(
         "--connection", choices=["ssh", "openssh"], default="ssh", help="connection of edgectl to the hosts"
     )
+    parser.add_argument(
+        "--record",
+        type=Path,
+        metavar="FILE",
+        help="go on after the injections in this file, with those faults first that were injected least, and add to it",
+    )
+    parser.add_argument(
+        "--minutes", type=float, default=math.inf, help="begin no injection later than this (default: all)"
+    )
     parser.add_argument("--code", type=Path, help="directory of another edgectl package to test")
     options = parser.parse_args()
-    with ThreadPoolExecutor(options.jobs) as pool:
-        rows = list(pool.map(lambda case: run_case(case[0], case[1], case[2], options), list_cases(options)))
+    rows = inject_all(options)
     print(format_table(rows))
+    if options.record:
+        recorded = injection_record.build_rows(read_recorded(options))
+        print(f"\nAll of {options.record}:\n\n{format_table(recorded)}")
     return 0 if rows and all(row.good for row in rows) else 1
 
 
-def list_cases(options: argparse.Namespace) -> list[tuple[Fault, str, int]]:
+def inject_all(options: argparse.Namespace) -> list[FaultRow]:
+    """Inject the faults once through; with a record and a limit of time again and again until that."""
+    until, rows = time.monotonic() + 60 * options.minutes, list[FaultRow]()
+    while True:
+        cases = injection_record.order_cases(list_cases(options), read_recorded(options))
+        with ThreadPoolExecutor(options.jobs) as pool:
+            found = list(pool.map(lambda case: run_case(case, options, until), cases))
+        # Of a later round, what had no time left says nothing.
+        rows += found if not rows else [row for row in found if row.injected]
+        goes_on = options.record and options.minutes < math.inf and any(row.injected for row in found)
+        if not goes_on or time.monotonic() >= until:
+            return rows
+
+
+def read_recorded(options: argparse.Namespace) -> list[injection_record.RecordedInjection]:
+    """Read what earlier runs have recorded."""
+    return injection_record.read_records(options.record) if options.record else []
+
+
+def list_cases(options: argparse.Namespace) -> list[Case]:
     """Return the faults to inject, with kind of host and number of injections."""
     every = (
         list_quick_cases()
@@ -62,11 +102,17 @@ def list_cases(options: argparse.Namespace) -> list[tuple[Fault, str, int]]:
     wanted = [
         (each, kind)
         for each, kind in every
-        if (options.only in each.name or options.only == kind) and kind == (options.hosts or kind)
+        if (options.only in each.name or options.only in (kind, get_module(each)))
+        and kind == (options.hosts or kind)
     ]
     return [
         (each, kind, options.times or (1 if options.quick else get_full(each, kind))) for each, kind in wanted
     ]
+
+
+def get_module(each: Fault) -> str:
+    """``noise`` of a fault in faults_noise.py."""
+    return each.inject.__module__.rpartition("faults_")[2]
 
 
 def get_full(each: Fault, kind: str) -> int:
@@ -74,12 +120,15 @@ def get_full(each: Fault, kind: str) -> int:
     return (each.full + 3) // 4 if kind == "containers" != each.kinds[0] else each.full
 
 
-def run_case(each: Fault, kind: str, times: int, options: argparse.Namespace) -> FaultRow:
+def run_case(case: Case, options: argparse.Namespace, until: float) -> FaultRow:
     """Inject a fault and report it at once."""
+
+    def note(seed: int, result: InjectionResult, seconds: float) -> None:
+        if options.record:
+            injection_record.add_record(options.record, case, options.seed, seed, result, seconds=seconds)
+
     row = run_fault(
-        each,
-        kind,
-        times,
+        *case,
         options.seed,
         EdgectlVariant(
             code=options.code,
@@ -88,7 +137,10 @@ def run_case(each: Fault, kind: str, times: int, options: argparse.Namespace) ->
             points=1 if options.quick else options.points,
         ),
         exactly=options.injection,
+        skip=injection_record.count_seeds(read_recorded(options), case, options.seed),
+        until=until,
         report=print_progress,
+        note=note,
     )
     if row.not_run:
         print_progress(row)

@@ -32,7 +32,6 @@ class ComputerEngine(EngineClient):
     computer: "NamespaceHost"
     live_restore: bool = True
     process: "subprocess.Popen[bytes] | None" = None
-    power_was_cut: bool = False
 
     def __post_init__(self) -> None:
         self.folder.mkdir()
@@ -134,9 +133,7 @@ class ComputerEngine(EngineClient):
 
     def find_left(self) -> list[str]:
         """What is left after all tasks have been stopped, one sentence each."""
-        # What a loss of power has ended is removed by the next start or stop of the task on this host (ADR 166).
-        names = self.list_containers(dead=not self.power_was_cut)
-        found = [f"{self.computer.name}: container {name}" for name in names]
+        found = [f"{self.computer.name}: container {name}" for name in self.list_containers()]
         deadline = time.monotonic() + patience(5)
         while (shims := self.list_shims()) and time.monotonic() < deadline:
             time.sleep(0.05)

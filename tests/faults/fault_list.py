@@ -8,6 +8,7 @@ from tests.faults import (
     faults_failover,
     faults_failpoints,
     faults_host,
+    faults_image,
     faults_inventory,
     faults_link,
     faults_manager,
@@ -38,6 +39,7 @@ MODULES = (
     faults_warm_move,
     faults_failover,
     faults_engine,
+    faults_image,
     faults_random,
 )
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Faults of container engines: killed, restarted, frozen, their shims killed, containers of others and by others."""
 
+import subprocess
+
 from tests.containers.docker_engine import IMAGE
 from tests.faults import scan
 from tests.faults.command_result import ExpectationError
@@ -16,6 +18,7 @@ from tests.faults.faults_host import start_tasks
 from tests.faults.faults_link import prepare_changes
 from tests.faults.faults_warm_move import strike_at_point
 from tests.faults.fleet import APPLY, FaultFleet
+from tests.faults.hosts import wait_for
 from tests.faults.registry import CONTAINERS, fault
 
 SAMPLED = 6
@@ -136,6 +139,18 @@ def kill_all_of_ours(fleet: FaultFleet) -> None:
         scan.kill_processes([each for each in found if fleet.mark not in each.command])
         fleet.engines[name].kill()
         fleet.engines[name].start()
+
+
+@fault("host without power while its task goes elsewhere", kinds=CONTAINERS, full=4)
+def leave_dead_container(fleet: FaultFleet) -> None:
+    """The dead container is removed beside the next apply; nothing runs there for that."""
+    start_tasks(fleet)
+    fleet.hosts[fleet.first].power_off()
+    fleet.hosts[fleet.first].boot()
+    fleet.pin_task("slam", fleet.second)
+    fleet.apply_and_check()
+    engine = fleet.engines[fleet.first]
+    wait_for(lambda: not engine.list_containers(), "the removal of the dead container", 60)
 
 
 @fault("containers killed, removed or restarted by somebody else", kinds=CONTAINERS, full=3)

@@ -14,7 +14,7 @@ from tests.faults.registry import fault
 
 # Longer than the lease in etcd.
 PATIENT = (*APPLY, "--lock-timeout", "60s")
-PAST_THE_LEASE_S = 17.0
+PAST_THE_LEASE_S = 10.0
 NEW_TASKS = 3
 
 

@@ -6,6 +6,7 @@ New tasks, which run nowhere, come in every round, and every manager wants them 
 
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
@@ -29,12 +30,15 @@ ROUNDS = 4
 
 @dataclass(frozen=True, kw_only=True)
 class Site:
-    """A fleet with three managers and an etcd of three members; ``relays``: the line to each member."""
+    """A fleet with three managers and an etcd of three members; ``relays``: the line of the other members to each;
+    ``lines``: those of each manager to the members, if it has its own.
+    """
 
     fleet: FaultFleet
     cluster: EtcdCluster
     relays: list[Relay]
     managers: list[Manager]
+    lines: dict[str, list[Relay]]
 
     def pick(self) -> EtcdServer:
         return self.fleet.random.choice(self.cluster.servers)
@@ -43,43 +47,59 @@ class Site:
 Disturb: TypeAlias = Callable[[Site, "list[Popen[str]]"], AbstractContextManager[None]]
 
 
-def open_site(fleet: FaultFleet) -> Site:
-    """Every manager sees all hosts but one."""
+def build_address(lines: list[Relay]) -> str:
+    """The address of the etcd behind these lines; empty without them."""
+    return "etcd://" + ",".join(f"127.0.0.1:{each.port}" for each in lines) if lines else ""
+
+
+def open_site(fleet: FaultFleet, *, relayed: bool) -> Site:
+    """Every manager sees all hosts but one. ``relayed``: each has lines of its own to the members."""
     directory = fleet.directory / "etcd"
     directory.mkdir()
     relays: list[Relay] = []
 
-    def open_line(port: int) -> int:
+    def open_relay(port: int) -> Relay:
         relay = Relay(("127.0.0.1", port))
         relay.start()
         fleet.stack.callback(relay.stop)
-        relays.append(relay)
-        return relay.port
+        return relay
+
+    def open_line(port: int) -> int:
+        relays.append(open_relay(port))
+        return relays[-1].port
 
     cluster = fleet.stack.enter_context(running_etcd(directory, 3, relay=open_line))
     fleet.coordination = cluster.address
     fleet.write_files()
-    managers = [Manager(fleet=fleet, name=name) for name in ("cem", "ben", "ana")]
+    names = ("cem", "ben", "ana")
+    lines = {name: [open_relay(each.port) for each in cluster.servers if relayed] for name in names}
+    managers = [Manager(fleet=fleet, name=name, coordination=build_address(lines[name])) for name in names]
     for manager, hidden in zip(managers, fleet.random.sample(fleet.edges, 3), strict=True):
         manager.hide(hidden)
-    return Site(fleet=fleet, cluster=cluster, relays=relays, managers=managers)
+    return Site(fleet=fleet, cluster=cluster, relays=relays, managers=managers, lines=lines)
 
 
 def play_rounds(
-    fleet: FaultFleet, disturb: Disturb, *, most_s: float = 4.0, env: Mapping[str, str] | None = None
+    fleet: FaultFleet,
+    disturb: Disturb,
+    *,
+    most_s: float = 4.0,
+    relayed: bool = False,
+    build_env: Callable[[], Mapping[str, str]] = dict,
 ) -> None:
     """In each round all managers apply at once, and something is broken meanwhile; then one applies alone.
 
-    ``most_s``: for so long it is broken at most. ``env``: of the first manager that applies.
+    ``most_s``: for so long it is broken at most. ``relayed``: as `open_site`. ``build_env``: of the first manager that
+    applies.
     """
-    site = open_site(fleet)
+    site = open_site(fleet, relayed=relayed)
     for _ in range(1 if fleet.sample else ROUNDS):
         for _ in range(NEW_TASKS):
             fleet.add_task(f"t{len(fleet.tasks)}")
         for manager in site.managers:
             manager.want_at_random()
         first, *others = fleet.random.sample(site.managers, 3)
-        running = [first.start(*PATIENT, **(env or {})), *(each.start(*PATIENT) for each in others)]
+        running = [first.start(*PATIENT, **build_env()), *(each.start(*PATIENT) for each in others)]
         fleet.wait(fleet.random.uniform(0.3, 2.5))
         fleet.injected += 1
         with disturb(site, running):
@@ -141,6 +161,20 @@ def cut_member(site: Site) -> Iterator[None]:
 
 
 @contextmanager
+def cut_manager(site: Site) -> Iterator[None]:
+    """One manager reaches no member any more, and all of its hosts."""
+    lines = site.lines[site.fleet.random.choice(sorted(site.lines))]
+    for relay in lines:
+        relay.set(LinkFault(kind=LinkFaultKind.BLACK_HOLE, lasting=True))
+    try:
+        yield
+    finally:
+        for relay in lines:
+            relay.heal()
+            relay.drop()
+
+
+@contextmanager
 def signal_managers(
     running: "list[Popen[str]]", first: signal.Signals, last: signal.Signals
 ) -> Iterator[None]:
@@ -176,6 +210,11 @@ def cut_a_member(fleet: FaultFleet) -> None:
     play_rounds(fleet, lambda site, _: cut_member(site))
 
 
+@fault("three managers, three etcd members: a manager is cut off", kinds=("loopback",), full=4)
+def cut_off_a_manager(fleet: FaultFleet) -> None:
+    play_rounds(fleet, lambda site, _: cut_manager(site), most_s=PAST_THE_LEASE_S, relayed=True)
+
+
 @fault("three managers, three etcd members: a manager is killed", kinds=("loopback",), full=4)
 def kill_a_manager(fleet: FaultFleet) -> None:
     play_rounds(
@@ -206,4 +245,21 @@ def freeze_managers(fleet: FaultFleet) -> None:
     missing=find_missing_compiler,
 )
 def skew_a_manager(fleet: FaultFleet) -> None:
-    play_rounds(fleet, lambda _site, _running: nullcontext(), env=build_skewed_env(fleet, DAY))
+    play_rounds(fleet, lambda _site, _running: nullcontext(), build_env=lambda: build_skewed_env(fleet, DAY))
+
+
+@fault(
+    "three managers, three etcd members: a manager's clock jumps while it applies",
+    kinds=("loopback",),
+    full=4,
+    missing=find_missing_compiler,
+)
+def set_a_manager_clock(fleet: FaultFleet) -> None:
+    """A day ahead or back, or years; the leases count another clock."""
+
+    def build_env() -> dict[str, str]:
+        moment = time.monotonic() + fleet.random.uniform(1.0, 5.0)
+        seconds = fleet.random.choice([DAY, -DAY, 3650 * DAY])
+        return build_skewed_env(fleet, seconds) | {"CLOCK_SKEW_FROM": f"{moment:.0f}"}
+
+    play_rounds(fleet, lambda _site, _running: nullcontext(), build_env=build_env)

@@ -35,6 +35,7 @@ from tests.pace import patience
 EDGECTL = Path(sys.executable).with_name("edgectl")
 APPLY = ("apply", "--yes")
 FLEET = "faults"
+REMOVAL_S = 10.0
 
 
 def find_supervisor(main: scan.Process, table: Mapping[int, scan.Process]) -> scan.Process | None:
@@ -430,7 +431,16 @@ class FaultFleet:
         return len(oracle.group_by_task(oracle.list_lifetimes(self.records)).get(task, []))
 
     def find_leftovers(self) -> OracleVerdict:
-        """Find leftovers after a full stop: processes, held locks, files that others may read."""
+        """Find leftovers after a full stop: processes, containers, held locks, files that others may read.
+
+        A host removes dead containers beside a command, which takes it a moment.
+        """
+        deadline = time.monotonic() + (patience(REMOVAL_S) if self.engines else 0.0)
+        while (left := self._list_leftovers()) and time.monotonic() < deadline:
+            time.sleep(0.2)
+        return OracleVerdict(left=tuple(sorted(set(left))))
+
+    def _list_leftovers(self) -> list[str]:
         left = [
             f"{name}: process {each.pid} {each.command[:90]}"
             for name, host in self.hosts.items()
@@ -451,7 +461,7 @@ class FaultFleet:
                 self.state / "fleets", *(place / "edgectl" for place in places)
             )
         ]
-        return OracleVerdict(left=tuple(sorted(set(left))))
+        return left
 
 
 class OracleError(AssertionError):

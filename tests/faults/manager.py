@@ -19,13 +19,14 @@ class Manager:
     """One manager: its task file, its state directory and the hosts that it reaches.
 
     ``own_fleet``: it has an inventory of its own with the same hosts, and so another fleet. ``lacks``: hosts that are
-    missing in its inventory.
+    missing in its inventory. ``coordination``: its own way to the etcd of the fleet.
     """
 
     fleet: FaultFleet
     name: str
     own_fleet: bool = False
     lacks: tuple[str, ...] = ()
+    coordination: str = ""
 
     @property
     def tasks(self) -> Path:
@@ -50,7 +51,7 @@ class Manager:
     def start(self, *words: str, **more: str) -> "subprocess.Popen[str]":
         fleet, own = self.fleet, self.fleet.directory / f"ssh_config-{self.name}"
         files = {str(fleet.directory / "tasks.yaml"): str(self.tasks)}
-        if self.own_fleet or self.lacks:
+        if self.own_fleet or self.lacks or self.coordination:
             files[str(fleet.directory / "inventory.yaml")] = str(self._write_inventory())
         command = [files.get(word, word) for word in fleet.build_command(*words)]
         state = fleet.directory / f"state-{self.name}"
@@ -68,6 +69,7 @@ class Manager:
         fleet, path = self.fleet, self.fleet.directory / f"inventory-{self.name}.yaml"
         edges = {name: host for name, host in fleet.inventory.items() if name not in self.lacks}
         own = {"fleet": self.name} if self.own_fleet else {}
+        own |= {"coordination": self.coordination} if self.coordination else {}
         path.write_text(format_yaml({**fleet.inventory_head, **own, "edges": edges}))
         return path
 

@@ -277,7 +277,6 @@ class NamespaceHost:
             self.pid, self.read_only = 0, False
             if self.engine:
                 self.engine.forget()
-                self.engine.power_was_cut = True
 
     def unplug_cable(self) -> None:
         """Unplug the cable: no carrier."""

@@ -7,6 +7,7 @@ every expected task exactly once, none doubled at any moment since the beginning
 all tasks are stopped, at random by a manager that was never there before, and nothing may be left.
 """
 
+import math
 import random
 import subprocess
 import tempfile
@@ -177,19 +178,27 @@ def run_fault(
     variant: EdgectlVariant | None = None,
     *,
     exactly: int | None = None,
+    skip: int = 0,
+    until: float = math.inf,
     report: Callable[[FaultRow], None] = lambda _row: None,
+    note: Callable[[int, InjectionResult, float], None] = lambda _seed, _result, _seconds: None,
 ) -> FaultRow:
     """Inject the fault ``times`` times; every injection has its own seed, printed with a failure.
 
-    ``exactly``: the seed of the one injection to repeat. ``report`` gets the row after each injection.
+    ``exactly``: the seed of the one injection to repeat; ``skip``: so many of the first seeds were used before.
+    None begins after ``until``, of the monotonic clock. ``report`` gets the row after each injection, ``note``
+    its seed, result and seconds.
     """
     row = FaultRow(fault=each.name, kind=kind)
     row.not_run = MISSING.get(kind, str)() or each.missing()
     if row.not_run:
         return row
     begun = time.monotonic()
-    for one in draw_seeds(each, kind, times, seed) if exactly is None else [exactly]:
+    for one in draw_seeds(each, kind, skip + times, seed)[skip:] if exactly is None else [exactly]:
+        if (now := time.monotonic()) >= until:
+            break
         result = inject_once(each, kind, one, variant)
+        note(one, result, time.monotonic() - now)
         row.injected += result.injected
         row.survived += result.injected - bool(result.wrong)
         if isinstance(result.wrong, OracleVerdict):
@@ -199,6 +208,7 @@ def run_fault(
             row.failures.append(f"{each.name} ({kind}, seed {one}){result.points}: {result.wrong}")
         row.seconds = time.monotonic() - begun
         report(row)
+    row.not_run = "" if row.injected else "no time left"
     return row
 
 

@@ -1,4 +1,5 @@
-/* The wall clock of one process tree, off by CLOCK_SKEW seconds; every other clock stays true. Built and preloaded by the tests.
+/* The wall clock of one process tree, off by CLOCK_SKEW seconds, from the second CLOCK_SKEW_FROM of the monotonic clock on if that
+   is stated; every other clock stays true. Built and preloaded by the tests.
    (libfaketime also bends the monotonic clock and absolute sleeps, which no machine with a wrong wall clock does.) */
 #define _GNU_SOURCE
 #include <stdlib.h>
@@ -8,7 +9,9 @@
 #include <unistd.h>
 
 static long skew(void) {
-    const char *text = getenv("CLOCK_SKEW");
+    const char *text = getenv("CLOCK_SKEW"), *from = getenv("CLOCK_SKEW_FROM");
+    struct timespec now;
+    if (from && (syscall(SYS_clock_gettime, CLOCK_MONOTONIC, &now) || now.tv_sec < atol(from))) return 0;
     return text ? atol(text) : 0;
 }
 

@@ -101,6 +101,20 @@ def test_it_lasts_while_it_is_kept_alive_and_one_lease_longer(etcd: EtcdCluster,
     assert time.monotonic() - began > 0.5
 
 
+def test_another_machine_has_the_fleet_of_a_killed_manager_within_ten_seconds(
+    etcd: EtcdCluster, tmp_path: Path
+) -> None:
+    """It asks as often as a command that waits."""
+    began = time.monotonic()
+    take_fleet(EtcdClient(etcd.place), tmp_path.name, ANA, clock=Clock())  # never kept alive
+    asked = 0
+    while isinstance(take_fleet(EtcdClient(etcd.place), tmp_path.name, BEN, clock=Clock()), Holder):
+        assert time.monotonic() - began < patience(10.0)
+        time.sleep(0.3)
+        asked += 1
+    assert asked > 5, "it was held by the first one"
+
+
 def test_a_lease_that_ran_out_by_our_clock_stays_so(etcd: EtcdCluster, tmp_path: Path) -> None:
     clock = Clock()
     term = take(etcd, tmp_path.name, ANA, clock=clock)

@@ -141,7 +141,7 @@ def test_a_connection_that_is_lost_while_a_request_is_held(lab: Lab, tmp_path: P
             exchange = held._exchange
             inner = getattr(exchange, "_exchange", exchange)
             assert isinstance(inner, SshExchange)
-            inner._session._cut()
+            inner._session.cut()
             with pytest.raises((ConnectError, HostError)):
                 held.wait()
             held.close()

@@ -7,13 +7,17 @@ task's own directory in a label is ever removed.
 """
 
 import os
+import time
 
 from ..link.fast_json import Document
 from ..measure import proc
-from ..supervise import liveness, signals
+from ..supervise import liveness, lockfile, signals, state_dir
 from . import create, engine, record
 
-_REMOVE_S = 30.0
+REMOVE_S = 30.0
+_TRIES, _TRY_S = 5, 0.2
+# The engine may hang in a removal beside a request, but a start waits only for so long.
+_AWAITED_S, _POLL_S = 20.0, 0.05
 _KILL = signals.parse_signal("KILL")
 
 
@@ -60,10 +64,13 @@ def remove_containers(folder: str, program: str = "") -> str:
 
     The caller has seen that no process is left, or keeps the lock of the task.
     """
-    program = program or str(record.read_container(folder).get("program") or "")
+    found = record.read_container(folder)
+    program = program or str(found.get("program") or "")
     if not program:
         return ""
-    for _ in range(3):
+    for number in range(_TRIES):
+        # One that the engine is just removing is refused, and still listed.
+        time.sleep(_TRY_S if number else 0.0)
         ids, call = list_containers(program, folder)
         if call.kind == engine.LOST and call.refused:
             # Nothing listens: what is dead starts nothing, and what comes back restarts no container of ours.
@@ -71,8 +78,9 @@ def remove_containers(folder: str, program: str = "") -> str:
         if call.kind != engine.DONE:
             return call.why
         if not ids:
+            record.note_removal(folder, found)
             return ""
-        last = engine.call_engine([program, "rm", "--force", "--volumes", *ids], _REMOVE_S)
+        last = engine.call_engine([program, "rm", "--force", "--volumes", *ids], REMOVE_S)
     return last.why or "the container is still there"
 
 
@@ -81,6 +89,32 @@ def list_containers(program: str, folder: str) -> "tuple[list[str], engine.Engin
     mark = "label=%s=%s" % (create.DIR_LABEL, folder)
     call = engine.call_engine([program, "ps", "--all", "--quiet", "--no-trunc", "--filter", mark])
     return call.out.split(), call
+
+
+def remove_lost(program: str, identity: Document) -> bool:
+    """Remove the dead container of the task whose record is gone, as one in shared memory is after a loss of
+    power; whether there was one. That of another user or fleet never had a record in a base of this one.
+    """
+    marks = ["label=%s%s=%s" % (create.LABEL, name, identity[name]) for name in ("fleet", "host", "task")]
+    filters = [word for mark in marks for word in ("--filter", mark)]
+    form = '{{.ID}} {{.Label "%s"}}' % create.DIR_LABEL
+    call = engine.call_engine([program, "ps", "--all", "--no-trunc", *filters, "--format", form])
+    lines = [line.partition(" ") for line in call.out.splitlines()]
+    lost = [found for found, _, folder in lines if _is_own_place(folder) and not os.path.lexists(folder)]
+    if not lost:
+        return False
+    return engine.call_engine([program, "rm", "--volumes", *lost], REMOVE_S).kind == engine.DONE
+
+
+def _is_own_place(folder: str) -> bool:
+    return any(folder.startswith(base + "/") for base in state_dir.list_own_bases())
+
+
+def await_removal(folder: str) -> None:
+    """Wait until nobody removes containers of the task: its new one would have the name of the old one."""
+    deadline = time.monotonic() + _AWAITED_S
+    while lockfile.is_lock_held(folder, lockfile.GUARD) and time.monotonic() < deadline:
+        time.sleep(_POLL_S)
 
 
 def end_followers(folder: str) -> None:

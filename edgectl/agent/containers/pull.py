@@ -11,7 +11,7 @@ from ..link import protocol
 from ..link.errors import RefusalError
 from ..link.fast_json import Document
 from ..supervise import lockfile, records, state_dir
-from ..supervise.launch import run_detached
+from ..supervise.spawn import run_detached
 from . import engine
 
 # Nobody waits for longer, whatever the link.

@@ -12,6 +12,8 @@ from ..measure import proc
 from ..supervise import records
 
 FILE_NAME = "container"
+# Of which run the engine has nothing more.
+_REMOVED_NAME = "container-removed"
 _ID_LENGTH = 64
 
 
@@ -21,8 +23,9 @@ def has_container(folder: str) -> bool:
 
 
 def read_container(folder: str) -> Document:
-    """Read the record: ``id``, ``name`` and ``program`` of the engine; ``pid`` and ``ticks`` of its first
-    process once it was started; ``lost`` while the engine does not answer. Empty without a container.
+    """Read the record: ``id``, ``name`` and ``program`` of the engine; ``run``, another one for each
+    container; ``pid`` and ``ticks`` of its first process once it was started; ``lost`` while the engine does
+    not answer. Empty without a container.
     """
     return records.read_record(os.path.join(folder, FILE_NAME))
 
@@ -30,6 +33,23 @@ def read_container(folder: str) -> Document:
 def write_container(folder: str, document: Document, *, durable: bool = False) -> None:
     """Replace the record."""
     records.write_record(os.path.join(folder, FILE_NAME), document, durable=durable)
+
+
+def note_removal(folder: str, found: Document) -> None:
+    """Note that the engine has nothing more of the container that the record ``found`` describes, so that it
+    is not asked again.
+    """
+    try:
+        records.write_record(os.path.join(folder, _REMOVED_NAME), {"run": found.get("run", "")})
+    except OSError:
+        pass
+
+
+def may_be_left(folder: str) -> bool:
+    """Whether the engine may still have the container of the last run."""
+    found = read_container(folder)
+    removed = records.read_record(os.path.join(folder, _REMOVED_NAME))
+    return bool(found) and removed.get("run") != found.get("run", "")
 
 
 def describe_container(folder: str) -> Document:

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 CREATE_S, START_S = 30.0, 40.0
 _POLL_S, _RETRY_S = 0.03, 1.0
+# What both engines say of a name that another container has.
+_NAME_IS_USED = "already in use"
 # In place of the exit code of a container that somebody else removed: as if it was killed.
 _REMOVED_EXIT = 137
 
@@ -61,6 +63,8 @@ class ContainerRunner:
             StartError: it cannot be started.
         """
         self._program = engine.choose_program(self._spec["image"].get("engine"))
+        if not patient:
+            ending.await_removal(self._folder)
         while not self._try_start(patient=patient):
             self._note_loss(alive=False)
             self._pause()
@@ -138,6 +142,7 @@ class ContainerRunner:
         self._id = ""
         self._write(
             id="",
+            run=os.urandom(6).hex(),
             program=self._program,
             name=self._variables[create.NAME_VARIABLE],
             image=self._spec["image"]["name"],
@@ -154,6 +159,8 @@ class ContainerRunner:
             self._program, self._spec, self._identity, self._folder, self._variables
         )
         call = self._check(engine.call_engine(argv, CREATE_S, self._env))
+        if _NAME_IS_USED in call.why and ending.remove_lost(self._program, self._identity):
+            call = self._check(engine.call_engine(argv, CREATE_S, self._env))
         if call.kind != engine.DONE:
             raise StartError(*self._explain_refusal(call.why))
         self._id = call.out.split()[-1] if call.out.split() else ""
@@ -161,7 +168,7 @@ class ContainerRunner:
 
     def _explain_refusal(self, why: str) -> "tuple[str, str]":
         """Why the container was not created, and what helps."""
-        if "already in use" in why:
+        if _NAME_IS_USED in why:
             name = self._variables[create.NAME_VARIABLE]
             message = "a container %s exists that is not of this task; it was not touched" % name
             return message, "rename or remove it there"
@@ -218,8 +225,12 @@ class ContainerRunner:
             time.sleep(_POLL_S)
 
     def _end(self, code: int, detail: str) -> int:
-        """Remove the container; what cannot be removed now is removed before the next start or by a stop."""
-        engine.call_engine([self._program, "rm", "--volumes", self._id])
+        """Remove the container; what cannot be removed now is removed before the next start, by a stop, or
+        once the task is dead.
+        """
+        call = engine.call_engine([self._program, "rm", "--volumes", self._id])
+        if call.kind in (engine.DONE, engine.GONE):
+            record.note_removal(self._folder, self._found)
         self._write(id="", pid=0, ticks=-1)
         if detail:
             self._note(event="ended", detail=detail)

@@ -5,6 +5,7 @@ import marshal
 import os
 
 from .boot import FINGERPRINT, PACKAGE, AgentImporter, make_private_dir, read_file
+from .protocol import OP_CONVERSE
 from .stub import SEAL_BYTES, compute_seal, name_code
 
 TYPE_CHECKING = False
@@ -53,10 +54,16 @@ def write_bundle(importer: AgentImporter, operation: str) -> None:
         return
     importer.compile_module(BOOT)
     importer.bundle[FINGERPRINT] = fingerprint
-    # What writes code is not needed again until there is more to write.
-    kept = {name: each for name, each in importer.bundle.items() if name not in (STUB, __name__)}
+    # What writes code is not needed again until there is more to write; a conversation reads code by it.
+    left_out = () if operation == OP_CONVERSE else (STUB, __name__)
+    kept = {name: each for name, each in importer.bundle.items() if name not in left_out}
     code = marshal.dumps(kept)
     _write_and_rename(fd, partial, path, _compute_seal(importer.key, path, code) + code)
+
+
+def read_code(importer: AgentImporter, operation: str) -> "Bundle":
+    """Read the compiled code of an operation; {} where there is none, or its seal is not ours."""
+    return _read_bundle(importer, _find_code_path(importer, str(importer.folder), operation))
 
 
 def _find_code_path(importer: AgentImporter, folder: str, operation: str) -> str:

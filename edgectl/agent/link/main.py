@@ -38,6 +38,10 @@ def serve_request(request: bytes, channel: "Channel", bases: "list[str]") -> Non
     """Carry out ``request`` and reply on ``channel``; every failure becomes an ``error`` document."""
     try:
         document = fast_json.loads(request.decode("utf-8"))
+        if document["op"] == protocol.OP_CONVERSE:
+            from .converse import converse
+
+            converse(channel, bases, serve_request)
         state_dir.use_fleet(bases, document.get("fleet"))
         heartbeat.record_heartbeat(document["host"])
         if document["op"] == protocol.OP_FOLLOW:

@@ -11,6 +11,7 @@ VERSION = 1
 OP_ACTIVATE = "activate"
 OP_ADOPT = "adopt"
 OP_CHECK = "check"
+OP_CONVERSE = "converse"
 OP_COUNTERS = "counters"
 OP_DEACTIVATE = "deactivate"
 OP_DOCTOR = "doctor"
@@ -54,6 +55,8 @@ CHANGING_OPS = (
 )
 # Those among them that may wait for ``go``.
 HELD_OPS = (OP_ACTIVATE, OP_DEACTIVATE)
+# Those that a conversation carries (`frames.py`): each may be carried out twice without harm.
+CONVERSED_OPS = (OP_LEASE, OP_LOGS, OP_PROBE, OP_STATUS, OP_WAIT)
 SIGNATURE_KEYS = ("holder", "session", "epoch")
 # Name of the record of the lease in the directory of the fleet.
 LEASE_FILE = "lease"
@@ -65,6 +68,7 @@ REQUEST_KEYS = {
     OP_ACTIVATE: ("task", "instance", "generation", "manager", "spec", "await_go_s"),
     OP_ADOPT: ("tasks", "former"),
     OP_CHECK: ("command", "graph", "prelude", "ros", "env", "timeout_s"),
+    OP_CONVERSE: (),
     OP_COUNTERS: ("action", "links"),
     OP_DEACTIVATE: ("task", "instance", "generation", "manager", "spec", "await_go_s"),
     OP_DOCTOR: ("links", "prelude", "ros", "packages", "engines", "env", "timeout_s"),

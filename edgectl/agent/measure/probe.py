@@ -8,7 +8,7 @@ import zlib
 
 from ..link import protocol
 from ..link.fast_json import Document
-from ..supervise import adoption, grants, other_tasks, state_dir, status
+from ..supervise import adoption, grants, lockfile, other_tasks, state_dir, status
 from . import device, metrics, network, proc
 from .task import TaskMeter
 from .udp import UdpMeter
@@ -34,6 +34,9 @@ def probe_host(request: Document) -> Document:
     measured, checks = _read_profiler(request) or _measure_window(request)
     for task, values in metrics.read_tasks_metrics(request["host"], measured["tasks"]).items():
         measured["tasks"][task]["metrics"] = values
+    # After the measurement, in which it would count, and for none who only reads.
+    if lease and lease["lease"]["state"] == "granted":
+        _remove_dead_containers(request["host"])
     return dict(
         {
             "v": protocol.VERSION,
@@ -100,6 +103,22 @@ def _claim_lease(request: Document) -> Document:
     from ..supervise.lease import claim_lease
 
     return {"lease": claim_lease(request["lease"])}
+
+
+def _remove_dead_containers(host: str) -> None:
+    """Begin to remove what engines may still have of tasks of this host that have ended, as after a loss of
+    power.
+    """
+    folders = state_dir.find_task_dirs_with(host, "container")
+    if not folders:
+        return
+    from ..containers.record import may_be_left
+
+    ended = [each for each in folders if may_be_left(each) and not lockfile.is_lock_held(each)]
+    if ended:
+        from ..containers.removal import begin_removal
+
+        begin_removal(ended)
 
 
 def _read_profiler(request: Document) -> "tuple[Document, _RunningChecks] | None":

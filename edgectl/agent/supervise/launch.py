@@ -20,7 +20,7 @@ from .supervisor import Supervisor
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import Any, Callable, NoReturn
+    from typing import Any, NoReturn
 
 _BLOCK = 65536
 _REPORT_S = 10.0
@@ -50,7 +50,7 @@ def launch_supervisor(
         task_scope.why = "systemd-run failed: " + complaints
     read_end, write_end = os.pipe()
     order.update(report=write_end, why=task_scope.why)
-    run_detached(lambda: _run_ordered_supervisor(order), write_end, (lock, write_end))
+    spawn.run_detached(lambda: _run_ordered_supervisor(order), write_end, (lock, write_end))
     data, ended = _read_pipe(read_end, _get_report_s(spec))
     os.close(read_end)
     return _parse_report(data) or {
@@ -79,35 +79,10 @@ def launch_takeover(record: InstanceRecord, lock: int, guard: int, spec: Documen
     def supervise() -> None:
         Supervisor(record.folder, lock, write_end, record.instance, spec, "", orphan=record.status).run()
 
-    run_detached(supervise, write_end, kept)
+    spawn.run_detached(supervise, write_end, kept)
     data, _ = _read_pipe(read_end, _REPORT_S)
     os.close(read_end)
     return _parse_report(data) or {"error": "no report from the supervisor"}
-
-
-def run_detached(work: "Callable[[], None]", report: int, keep: "tuple[int, ...]") -> None:
-    """Run ``work`` in a process of a session of its own, with nothing open but ``keep``.
-
-    ``report`` is closed here.
-    """
-    child = os.fork()
-    if child == 0:
-        _run_in_child(work, report, keep)
-    os.close(report)
-    os.waitpid(child, 0)
-
-
-def _run_in_child(work: "Callable[[], None]", report: int, keep: "tuple[int, ...]") -> "NoReturn":
-    """In the first child: a new session, a second fork, a clean process."""
-    try:
-        os.setsid()
-        if os.fork() == 0:
-            spawn.clean_process(keep)
-            work()
-    except Exception as error:  # noqa: BLE001 - the report is the only channel left
-        fast_json.send_document(report, {"error": "%s: %s" % (type(error).__name__, error)})
-    finally:
-        os._exit(0)
 
 
 def _run_ordered_supervisor(order: Document) -> None:
@@ -154,7 +129,7 @@ def _start_agent(argv: "list[str]", env: "dict[str, str]", request: Document, lo
     read_end, report = os.pipe()
     source, source_end = os.pipe()
     packet = _build_packet(dict(request, lock=lock, report=report))
-    run_detached(lambda: _exec_agent(argv, env, source, report, lock), report, (lock, report, source))
+    spawn.run_detached(lambda: _exec_agent(argv, env, source, report, lock), report, (lock, report, source))
     os.close(source)
     _feed_pipe(source_end, packet)
     return read_end

@@ -11,6 +11,8 @@ from . import records
 # A test of the lock (is_lock_held) takes some microseconds; a holder beyond these tries is a supervisor.
 _TRIES = 10
 _TRY_S = 0.03
+# Held by the supervisor of a task that was taken over, and while the container of a dead one is removed.
+GUARD = "takeover"
 
 
 def take_lock(folder: str, name: str = "lock") -> int:

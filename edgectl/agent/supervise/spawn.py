@@ -4,12 +4,13 @@
 import _signal as signal
 import os
 
+from ..link import fast_json
 from ..link.fast_json import Document
 from . import shell
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import NoReturn, Union
+    from typing import Callable, NoReturn, Union
 
 _PR_SET_NAME, _PR_SET_CHILD_SUBREAPER = 15, 36
 _MAX_FDS = 1 << 16
@@ -71,6 +72,31 @@ def close_other_fds(keep: "set[int]") -> None:
                 os.close(fd)
             except OSError:
                 continue
+
+
+def run_detached(work: "Callable[[], None]", report: int, keep: "tuple[int, ...]") -> None:
+    """Run ``work`` in a process of a session of its own, with nothing open but ``keep``.
+
+    ``report`` is closed here.
+    """
+    child = os.fork()
+    if child == 0:
+        _run_as_daemon(work, report, keep)
+    os.close(report)
+    os.waitpid(child, 0)
+
+
+def _run_as_daemon(work: "Callable[[], None]", report: int, keep: "tuple[int, ...]") -> "NoReturn":
+    """In the first child: a new session, a second fork, a clean process."""
+    try:
+        os.setsid()
+        if os.fork() == 0:
+            clean_process(keep)
+            work()
+    except Exception as error:  # noqa: BLE001 - the report is the only channel left
+        fast_json.send_document(report, {"error": "%s: %s" % (type(error).__name__, error)})
+    finally:
+        os._exit(0)
 
 
 def spawn_command(

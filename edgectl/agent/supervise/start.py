@@ -104,7 +104,8 @@ def _launch_task(folder: str, lock: int, request: Document, task_scope: scope.Sc
     records.write_record(os.path.join(folder, "generation"), generation, durable=True)
     records.write_record(os.path.join(folder, "mark"), {})
     if spec.get("image"):
-        state_dir.reserve_file(os.path.join(folder, "container"), records.RECORD_BYTES)
+        for name in ("container", "container-removed"):
+            state_dir.reserve_file(os.path.join(folder, name), records.RECORD_BYTES)
     role.begin_role(
         folder, spec, str(request["instance"]), str(request.get("role")), generation["generation"]
     )

@@ -146,11 +146,28 @@ def list_task_names(host: str) -> "list[str]":
     names: "set[str]" = set()
     for known in list_host_names(host):
         names.update(os.path.basename(folder) for folder in list_adopted_dirs(known))
-        for base in list_own_bases():
-            folder = os.path.join(_list_host_levels(base, known)[-1], "tasks")
-            if os.path.isdir(folder):
-                names.update(name for name in os.listdir(folder) if protocol.is_name(name))
+        for folder in _list_tasks_dirs(known):
+            names.update(name for name in os.listdir(folder) if protocol.is_name(name))
     return sorted(names)
+
+
+def find_task_dirs_with(host: str, file_name: str) -> "list[str]":
+    """Find the directories of tasks of this host, under any of its names, that have a file of this name."""
+    return [
+        folder
+        for known in list_host_names(host)
+        for tasks in _list_tasks_dirs(known)
+        for task in sorted(os.listdir(tasks))
+        if protocol.is_name(task) and os.path.exists("%s/%s/%s" % (tasks, task, file_name))
+        for folder in _find_task_dirs_of_name(known, task)
+        if os.path.dirname(folder) == tasks
+    ]
+
+
+def _list_tasks_dirs(host: str) -> "list[str]":
+    """List the existing directories that have one directory for each task of ``host``."""
+    found = [os.path.join(_list_host_levels(base, host)[-1], "tasks") for base in list_own_bases()]
+    return [folder for folder in found if os.path.isdir(folder)]
 
 
 def make_task_dir(host: str, task: str) -> str:

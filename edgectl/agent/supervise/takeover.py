@@ -13,7 +13,6 @@ from ..link.errors import RefusalError
 from ..link.fast_json import Document
 from . import liveness, lockfile, logind, state_dir, status
 
-_LOCK_NAME = "takeover"
 _HINT = "edgectl probe, then plan again"
 
 
@@ -32,7 +31,7 @@ def take_over_task(request: Document) -> Document:
         raise RefusalError(
             protocol.NOT_RUNNING, "instance %s of %s is not running" % (request["instance"], task), _HINT
         )
-    guard = lockfile.take_lock(record.folder, _LOCK_NAME)
+    guard = lockfile.take_lock(record.folder, lockfile.GUARD)
     if guard < 0 or liveness.find_supervisor(liveness.read_instance(record.folder)):
         _close_lock(guard)
         return {"state": protocol.ALREADY_RUNNING, "instance": request["instance"]}

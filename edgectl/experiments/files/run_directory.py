@@ -17,7 +17,7 @@ from edgectl.state.json_files import Warn, read_json, set_aside, write_json
 
 Value = TypeVar("Value")
 
-RUN_FILE_NAME, TRIALS_DIR_NAME = "run.json", "trials"
+RUN_FILE_NAME, TRIALS_DIR_NAME, LOCK_FILE_NAME = "run.json", "trials", "lock"
 
 
 def load_run(directory: Path) -> ExperimentRun:
@@ -57,12 +57,12 @@ def load_run_to_resume(directory: Path, warn: Warn) -> ExperimentRun | None:
 
 
 def _is_aborted_start(directory: Path) -> bool:
-    """Whether the directory holds only what an interrupted `save_run` leaves."""
+    """Whether the directory holds only what an experiment leaves that ended before `save_run`."""
     left = {
         path.relative_to(directory).as_posix()
         for path in (*directory.iterdir(), *directory.glob(f"{TRIALS_DIR_NAME}/*"))
     }
-    return left <= {TRIALS_DIR_NAME, f"{RUN_FILE_NAME}.tmp"}
+    return left <= {TRIALS_DIR_NAME, LOCK_FILE_NAME, f"{RUN_FILE_NAME}.tmp"}
 
 
 def find_newest_run(parent: Path) -> Path | None:
@@ -73,12 +73,11 @@ def find_newest_run(parent: Path) -> Path | None:
     return max(runs)[1] if runs else None
 
 
-def save_run(directory: Path, run: ExperimentRun) -> None:
-    """Write ``run.json``, atomically; trials are files of their own.
+def create_run_directory(directory: Path) -> None:
+    """Create the directory of a run and that of its trials.
 
     Raises:
-        FileError: the directory cannot be created.
-        StateError: the file cannot be written.
+        FileError: one of them cannot be created.
     """
     try:
         (directory / TRIALS_DIR_NAME).mkdir(parents=True, exist_ok=True)
@@ -86,6 +85,16 @@ def save_run(directory: Path, run: ExperimentRun) -> None:
         raise FileError(
             f"cannot create {directory}: {error.strerror}", hint="choose another directory: --out DIR"
         ) from error
+
+
+def save_run(directory: Path, run: ExperimentRun) -> None:
+    """Write ``run.json``, atomically; trials are files of their own.
+
+    Raises:
+        FileError: the directory cannot be created.
+        StateError: the file cannot be written.
+    """
+    create_run_directory(directory)
     write_json(directory / RUN_FILE_NAME, RUN_KIND.encode(replace(run, trials=())), keep=False)
 
 

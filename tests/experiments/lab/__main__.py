@@ -39,10 +39,16 @@ SETTLE_S, WINDOWS = 8.0, 5
 
 
 def edgectl(*words: str, prefix: list[str], env: dict[str, str], limit_s: float = OTHER_LIMIT_S) -> int:
-    """Run one command to its end; told to end, we tell it, and give it a minute to stop what it started."""
+    """Run one command to its end; told to end, we tell it, and give it a minute to stop what it started.
+
+    Killed, we take it with us as we do the hosts: it would write trials of lost hosts beside those of the next run.
+    """
     sys.stdout.flush()
     running = subprocess.Popen(
-        [*prefix, sys.executable, "-m", "edgectl", *words], env=env, cwd=ROOT, start_new_session=True
+        ["setpriv", "--pdeathsig", "KILL", *prefix, sys.executable, "-m", "edgectl", *words],
+        env=env,
+        cwd=ROOT,
+        start_new_session=True,
     )
     try:
         return running.wait(limit_s)

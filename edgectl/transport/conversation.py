@@ -1,0 +1,363 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Requests of one connection that go to an agent which stays, instead of a call each (ADR 162).
+
+Only operations that may be carried out twice without harm go this way (`protocol.CONVERSED_OPS`). Whatever is
+wrong with the conversation, such a request gets a call of its own, as all others do; so nothing depends on
+it, and nobody waits until it is open.
+"""
+
+import contextlib
+import itertools
+import json
+import math
+import secrets
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Self
+
+from edgectl.agent.link import frames, protocol
+from edgectl.errors import DeadlineError, HostError, ReplyError
+from edgectl.model.inventory import Connection, Host
+from edgectl.transport.agent_client import (
+    build_agent_command,
+    build_packet,
+    check_reply,
+    parse_reply_json,
+    split_frame,
+)
+from edgectl.transport.base import ConversableSession, Exchange, OpenExchange, Reply, Session
+
+# Seconds. Requests farther apart are cheaper as calls: to keep an agent costs a pulse each 0.6 s.
+KEEP_S = 6.0
+# So many requests follow each other closely before an agent stays: those of one slow cycle do not.
+MIN_IN_ROW = 4
+# From the beginning of a conversation to the first word of the agent.
+HELLO_S = 10.0
+# From the beginning of one to that of the next: an agent that ends again and again costs more than it saves.
+REST_S = 10.0
+# Of an end of the conversation that waits for others.
+_PATIENCE_S = 0.2
+_JOIN_S = 2.0
+# Requests in a row that the agent does not take, for want of a place for compiled code.
+_MAX_REFUSED = 3
+_PROGRAM_COUNT = 2
+# Agents that stay: on one machine, whose slices may be many hosts; and ssh programs here, three files each.
+_MAX_ON_MACHINE, _MAX_PROGRAMS = 8, 64
+
+
+@dataclass(slots=True, eq=False)
+class _Question:
+    """A request under way. ``whole``: its process has ended well, so ``output`` is all of it."""
+
+    limit: int
+    output: bytearray = field(default_factory=bytearray)
+    ended: threading.Event = field(default_factory=threading.Event)
+    whole: bool = False
+
+    def add(self, data: bytes) -> None:
+        """Add a piece; beyond the limit it ends, and a call of its own says so."""
+        if len(self.output) + len(data) > self.limit:
+            self.ended.set()
+        else:
+            self.output += data
+
+    def end(self, *, whole: bool) -> None:
+        """Let the asker go on."""
+        if not self.ended.is_set():
+            self.whole = whole
+            self.ended.set()
+
+
+class Conversation:
+    """One agent that stays: a thread begins it, listens to it and sends the pulses.
+
+    Once ``is_over`` it carries nothing any more; ``is_useless``: another one on this connection would not
+    either.
+    """
+
+    def __init__(self, session: ConversableSession, greeting: Mapping[str, object]) -> None:
+        self.is_over, self.is_useless = False, True
+        self._session, self._greeting = session, greeting
+        self._open = False
+        self._exchange: OpenExchange | None = None
+        self._questions: dict[int, _Question] = {}
+        self._numbers = itertools.count(1)
+        self._refused = 0
+        self._used_at = time.monotonic()
+        self._lock, self._writing = threading.Lock(), threading.Lock()
+        self._thread = threading.Thread(target=self._run, name="edgectl-converse", daemon=True)
+        self._thread.start()
+
+    def ask(self, packet: bytes, *, timeout: float, limit: int) -> bytes | None:
+        """The output of one request; None where it needs a call of its own.
+
+        ``packet``: as of `build_packet`, without the programs.
+
+        Raises:
+            DeadlineError: no reply within ``timeout`` seconds.
+        """
+        question, deadline = _Question(limit), time.monotonic() + timeout
+        with self._lock:
+            exchange, number = self._exchange, next(self._numbers)
+            if not self._open or exchange is None:
+                return None
+            self._questions[number] = question
+        try:
+            with exchange.expect_reply(timeout=timeout, limit=limit):
+                with contextlib.suppress(HostError):
+                    self._say(exchange, frames.build_frame(frames.ASK, number, packet), timeout)
+                if not question.ended.wait(max(0.0, deadline - time.monotonic())):
+                    raise DeadlineError(f"no answer within {timeout:.3g} s")
+        finally:
+            with self._lock:
+                del self._questions[number]
+                self._used_at = time.monotonic()
+        return bytes(question.output) if question.whole else None
+
+    def give_way(self) -> None:
+        """End for good: the host has no room for a conversation beside other calls."""
+        self.end()
+        self.is_useless = True
+
+    def end(self) -> None:
+        """Carry nothing any more. What is under way gets calls of its own; the agent ends with its input."""
+        with self._lock:
+            exchange, self._exchange = self._exchange, None
+            self._open, self.is_over = False, True
+            questions = list(self._questions.values())
+        for question in questions:
+            question.end(whole=False)
+        if exchange is not None and self._writing.acquire(timeout=_PATIENCE_S):
+            try:
+                with contextlib.suppress(Exception):
+                    exchange.finish(b"", timeout=_PATIENCE_S)
+            finally:
+                self._writing.release()
+
+    def join(self) -> None:
+        """Wait for the thread, which closes what it has opened."""
+        self._thread.join(_JOIN_S)
+
+    def _run(self) -> None:
+        marker = secrets.token_hex(16)
+        # Whatever goes wrong costs no request: each may have a call of its own.
+        with contextlib.suppress(Exception), contextlib.closing(self._begin(marker)) as exchange:
+            try:
+                self._listen(exchange, self._await_first_word(exchange, marker))
+            finally:
+                self.end()
+        self.end()
+
+    def _begin(self, marker: str) -> OpenExchange:
+        return self._session.converse(
+            build_agent_command(self._session.python),
+            build_packet(self._greeting, marker, HELLO_S),
+            timeout=HELLO_S,
+            give_way=self.give_way,
+        )
+
+    def _await_first_word(self, exchange: OpenExchange, marker: str) -> bytes:
+        """Wait until the agent says that it stays; what came after that.
+
+        Nothing is asked before: a wrapper that reads all its input first would carry it out much later.
+
+        Raises:
+            ReplyError: it says something else, or nothing.
+        """
+        said, deadline = b"", time.monotonic() + HELLO_S
+        while (found := split_frame(said, marker)) is None:
+            if self.is_over or time.monotonic() >= deadline or len(said) > protocol.MAX_REPLY_BYTES:
+                raise ReplyError("the agent does not stay")
+            with contextlib.suppress(DeadlineError):
+                # In steps, because it may have to give way meanwhile.
+                piece = exchange.read(timeout=_PATIENCE_S)
+                said += piece
+                if not piece:
+                    raise ReplyError("the agent has ended")
+        payload, rest = found
+        check_reply(parse_reply_json(payload))
+        with self._lock:
+            if not self.is_over:
+                self._exchange, self._open, self.is_useless = exchange, True, False
+                self._used_at = time.monotonic()
+        return rest
+
+    def _listen(self, exchange: OpenExchange, data: bytes) -> None:
+        """Hand out what the agent says, and send pulses, until either side ends."""
+        reader, pulse_at = frames.FrameReader(frames.HOST_WORDS), 0.0
+        while not self.is_over:
+            for word, number, body in reader.feed(data):
+                self._hear(word, number, body)
+            now, data = time.monotonic(), b""
+            if now >= pulse_at:
+                if self._is_idle():
+                    return
+                self._say(exchange, frames.build_frame(frames.PULSE), frames.SILENCE_S)
+                # All hosts at once: a pulse among others takes a tenth of the CPU of one alone.
+                pulse_at = (now // frames.PULSE_S + 1) * frames.PULSE_S
+            with contextlib.suppress(DeadlineError):
+                data = exchange.read(timeout=max(0.0, pulse_at - now))
+                if not data:
+                    return
+
+    def _is_idle(self) -> bool:
+        """Whether nobody has asked for long; then nobody can any more."""
+        with self._lock:
+            idle = not self._questions and time.monotonic() - self._used_at >= KEEP_S
+            self._open = self._open and not idle
+        return idle
+
+    def _hear(self, word: str, number: int, body: bytes) -> None:
+        with self._lock:
+            question = self._questions.get(number)
+        if question is None:
+            # Its asker has given up.
+            return
+        if word == frames.OUTPUT:
+            question.add(body)
+            return
+        self._refused = self._refused + 1 if word == frames.REFUSED else 0
+        question.end(whole=word == frames.END and body == b"0")
+        if self._refused >= _MAX_REFUSED:
+            self.give_way()
+
+    def _say(self, exchange: OpenExchange, frame: bytes, timeout: float) -> None:
+        """Send one whole frame; a part of one ends the conversation.
+
+        Raises:
+            HostError: it could not be sent in time.
+        """
+        deadline = time.monotonic() + timeout
+        if not self._writing.acquire(timeout=timeout):
+            raise DeadlineError(f"no answer within {timeout:.3g} s")
+        try:
+            try:
+                exchange.write(frame, timeout=max(0.0, deadline - time.monotonic()))
+            finally:
+                self._writing.release()
+        except BaseException:
+            self.end()
+            raise
+
+
+class ConversingSession:
+    """A session whose reading requests go to one agent that stays, once they follow each other closely."""
+
+    def __init__(self, session: ConversableSession) -> None:
+        self._session = session
+        self._lock = threading.Lock()
+        self._conversation: Conversation | None = None
+        self._closed = False
+        self._asked_at = self._begun_at = -math.inf
+        self._in_row = 0
+
+    @property
+    def python(self) -> str:
+        """As the connection."""
+        return self._session.python
+
+    def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
+        """As ``Session.run``."""
+        packet = _find_packet(stdin) if command == build_agent_command(self.python) else None
+        if packet is None:
+            return self._session.run(command, stdin, timeout=timeout, limit=limit)
+        deadline = time.monotonic() + timeout
+        try:
+            conversation = self._find_conversation(packet)
+            if conversation is not None:
+                output = conversation.ask(packet, timeout=timeout, limit=limit)
+                if output is not None:
+                    return Reply(stdout=output, stderr=b"", status=0)
+            left = deadline - time.monotonic()
+            if left <= 0:
+                raise DeadlineError(f"no answer within {timeout:.3g} s")
+            return self._session.run(command, stdin, timeout=left, limit=limit)
+        finally:
+            self._asked_at = time.monotonic()
+
+    def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:
+        """As ``Session.stream``, a call of its own."""
+        return self._session.stream(command, stdin, idle_timeout=idle_timeout)
+
+    def exchange(self, command: str, stdin: bytes, *, timeout: float) -> Exchange:
+        """As ``Session.exchange``, a call of its own."""
+        return self._session.exchange(command, stdin, timeout=timeout)
+
+    def close(self) -> None:
+        """Close the connection, and end the conversation with it; `join` waits for its thread."""
+        with self._lock:
+            self._closed = True
+        self._session.close()
+        if self._conversation is not None:
+            self._conversation.end()
+
+    def join(self) -> None:
+        """Wait, after `close`, until nothing is left of the conversation here."""
+        if self._conversation is not None:
+            self._conversation.join()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _find_conversation(self, packet: bytes) -> Conversation | None:
+        """The conversation, if there is one; begins one where that may pay, which this request does not wait
+        for.
+        """
+        with self._lock:
+            now, found = time.monotonic(), self._conversation
+            self._in_row = self._in_row + 1 if now - self._asked_at <= KEEP_S else 1
+            if found is not None and (not found.is_over or found.is_useless):
+                return found
+            if self._closed or self._in_row < MIN_IN_ROW or now - self._begun_at < REST_S:
+                return None
+            self._begun_at = now
+            self._conversation = Conversation(self._session, _build_greeting(packet))
+        return None
+
+
+def share_agent(
+    session: Session, host: Host, address: Callable[[Host], str], staying: dict[str, set[str]]
+) -> Session:
+    """``session`` with an agent that stays, if it can keep one and not too many do.
+
+    ``staying``: the names of the hosts whose agents may, by what they share; that of ``host`` is added.
+    """
+    if not isinstance(session, ConversableSession):
+        return session
+    is_local = host.connection is Connection.LOCAL
+    most = {"this machine" if is_local else f"address {address(host)}": _MAX_ON_MACHINE}
+    if host.connection is Connection.OPENSSH:
+        most["ssh"] = _MAX_PROGRAMS
+    for name, count in most.items():
+        names = staying.setdefault(name, set())
+        if len(names) >= count and host.name not in names:
+            return session
+        names.add(host.name)
+    return ConversingSession(session)
+
+
+def _find_packet(stdin: bytes) -> bytes | None:
+    """The input of a call (`build_packet`) without its programs, if a conversation may carry it."""
+    try:
+        for _ in range(_PROGRAM_COUNT):
+            size, _, rest = stdin.partition(b"\n")
+            stdin = rest[int(size) :]
+        head, _, body = stdin.partition(b"\n")
+        _, _, length, agent_length, _, _, operation = head.decode("ascii").split()
+        whole = (int(length), int(agent_length)) == (len(body), 0)
+    except ValueError:
+        return None
+    if not whole or operation not in protocol.CONVERSED_OPS or len(stdin) > frames.MAX_FRAME_BYTES:
+        return None
+    return stdin
+
+
+def _build_greeting(packet: bytes) -> dict[str, object]:
+    """The request for a conversation, by the manager and for the host of this one."""
+    request = json.loads(packet.partition(b"\n")[2])
+    return {"op": protocol.OP_CONVERSE, "fleet": request["fleet"], "host": request["host"]}

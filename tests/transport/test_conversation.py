@@ -1,0 +1,597 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Requests over an agent that stays, on real hosts: the same replies, and a call of its own for all that fails."""
+
+import os
+import queue
+import signal
+import threading
+import time
+from collections.abc import Callable, Generator, Iterator
+from contextlib import AbstractContextManager, closing, nullcontext
+from functools import partial
+from pathlib import Path
+from typing import Any, Self
+
+import pytest
+
+from edgectl.agent.link import frames, protocol
+from edgectl.agent.measure import proc
+from edgectl.errors import ConnectError, DeadlineError
+from edgectl.gateway.host_probe import ProbeOptions
+from edgectl.model.inventory import Connection, Host, Role
+from edgectl.transport import conversation
+from edgectl.transport.agent_client import (
+    build_agent_command,
+    build_packet,
+    call_agent,
+    stream_agent_log,
+)
+from edgectl.transport.base import OpenExchange, Reply, Session
+from edgectl.transport.connections import SessionPool
+from edgectl.transport.conversation import ConversingSession
+from edgectl.transport.fake import frame_reply, unpack_request
+from edgectl.transport.fleet_transport import FleetTransport
+from edgectl.transport.local import LocalExchange
+from edgectl.usecases import fleet as usecases
+from edgectl.usecases.probe import probe_fleet
+from edgectl.usecases.scrape import keep_sessions_open
+from edgectl.usecases.status import probe_repeatedly
+from edgectl.usecases.watch import WatchOptions, watch_fleet
+from tests.agent.conftest import a_spec, is_running
+from tests.builders import an_inventory, some_tasks
+from tests.pace import patience
+from tests.relay import Relay, RelayFault
+from tests.sshd import Lab, running_lab
+
+ANSWERS_S = patience(30.0)
+ENDLESS: dict[str, Any] = {"task": "slam", "instance": "i1", "timeout_s": 600.0, "up_s": 1e6}
+
+
+class CountingTransport:
+    """Real sessions; ``calls``: (host, operation) of each request that had a call of its own."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[str, str]] = []
+        self._within = FleetTransport()
+
+    def connect(self, host: Host, *, timeout: float) -> Session:
+        session = self._within.connect(host, timeout=timeout)
+        run = session.run
+
+        def run_counted(command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
+            self.calls.append((host.name, str(unpack_request(stdin)[1]["op"])))
+            return run(command, stdin, timeout=timeout, limit=limit)
+
+        session.run = run_counted  # type: ignore[method-assign]
+        return session
+
+    def address(self, host: Host) -> str:
+        return self._within.address(host)
+
+
+class Fleet:
+    """Hosts, and a pool whose requests may share an agent."""
+
+    def __init__(self, *hosts: Host) -> None:
+        self.hosts, self.transport = hosts, CountingTransport()
+        self.pool = SessionPool(self.transport, converse=True)
+
+    def ask(self, op: str, host: Host | None = None, *, timeout: float = ANSWERS_S, **fields: Any) -> Any:
+        asked = host or self.hosts[0]
+        with self.pool.connect(asked, timeout=ANSWERS_S) as session:
+            named = {"op": op, "fleet": "lab", "host": asked.name, **fields}
+            return call_agent(session, named, timeout=timeout)
+
+    def is_conversed(self, host: Host | None = None) -> bool:
+        """Whether a request needs no call of its own; its reply is right in either case."""
+        before = len(self.transport.calls)
+        assert self.ask("status", host, task=None)["host"] == (host or self.hosts[0]).name
+        return len(self.transport.calls) == before
+
+    def start(self, task: str = "slam") -> None:
+        self.ask(
+            "start",
+            task=task,
+            instance="i1",
+            generation=1,
+            spec=a_spec("echo up; exec sleep 600", runtime="process"),
+        )
+        self.ask("wait", task=task, instance="i1", timeout_s=ANSWERS_S)
+
+    def stop(self, task: str = "slam") -> None:
+        self.ask("stop", task=task, instance=None, generation=None, stop=None)
+
+
+def list_threads() -> list[threading.Thread]:
+    return [each for each in threading.enumerate() if each.name == "edgectl-converse"]
+
+
+def until(found: Callable[[], object], *, every: float = 0.05) -> None:
+    deadline = time.monotonic() + ANSWERS_S
+    while not found():
+        assert time.monotonic() < deadline, "did not happen in time"
+        time.sleep(every)
+
+
+def list_agents(mark: Path) -> list[int]:
+    """The agents on a host of the lab, or of a state directory, whose input is open; no supervisors."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            environ, command = (folder / "environ").read_bytes(), (folder / "cmdline").read_bytes()
+            has_input = str((folder / "fd" / "0").readlink()) != os.devnull
+        except OSError:
+            continue
+        if has_input and str(mark).encode() in environ and b"\0-I\0-S\0-c\0" in command:
+            found.append(int(folder.name))
+    return [pid for pid in found if is_running(pid)]
+
+
+def list_children(pid: int) -> list[int]:
+    return [child for child, each in proc.read_process_table().items() if each.ppid == pid]
+
+
+def begin_early(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a conversation begin with the second request: calls take most of the time of these tests."""
+    monkeypatch.setattr(conversation, "MIN_IN_ROW", 2)
+
+
+@pytest.fixture(params=[Connection.SSH, Connection.OPENSSH, Connection.LOCAL])
+def fleet(
+    request: pytest.FixtureRequest, lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Fleet]:
+    """Three hosts in reverse order of their names; local ones share a directory."""
+    begin_early(monkeypatch)
+    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
+    hosts = [
+        Host(name=name, role=Role.EDGE, host="localhost", connection=Connection.LOCAL)
+        if request.param is Connection.LOCAL
+        else lab.host(name, connection=request.param)
+        for name in sorted(lab.servers, reverse=True)[:3]
+    ]
+    made = Fleet(*hosts)
+    with made.pool:
+        yield made
+        made.stop()
+
+
+@pytest.fixture
+def local(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fleet]:
+    begin_early(monkeypatch)
+    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
+    made = Fleet(Host(name="edge1", role=Role.EDGE, host="localhost", connection=Connection.LOCAL))
+    with made.pool:
+        yield made
+        made.stop()
+
+
+def test_requests_that_follow_each_other_need_no_calls(fleet: Fleet) -> None:
+    fleet.start()
+    for host in fleet.hosts:
+        until(partial(fleet.is_conversed, host))
+    for host in fleet.hosts:
+        assert fleet.ask("probe", host, window_s=0.0)["host"] == host.name
+    assert fleet.ask("status", task=None)["tasks"].keys() == {"slam"}
+    fleet.stop()
+    assert (fleet.hosts[0].name, "stop") in fleet.transport.calls
+    assert fleet.ask("status", task=None)["tasks"] == {}
+
+
+@pytest.mark.parametrize("fleet", [Connection.SSH, Connection.LOCAL], indirect=True)
+def test_one_that_hangs_costs_the_others_nothing_and_meets_its_deadline(fleet: Fleet) -> None:
+    fleet.start()
+    until(fleet.is_conversed)
+    failures: list[BaseException] = []
+
+    def wait() -> None:
+        try:
+            fleet.ask("wait", timeout=3.0, **ENDLESS)
+        except DeadlineError as error:
+            failures.append(error)
+
+    waiting = threading.Thread(target=wait)
+    waiting.start()
+    del fleet.transport.calls[:]
+    for _ in range(5):
+        assert fleet.ask("status", task=None)["tasks"].keys() == {"slam"}
+    assert len(fleet.transport.calls) < 5
+    waiting.join(ANSWERS_S)
+    assert len(failures) == 1
+    # The pool opens the connection anew after a deadline, and its agent after that.
+    until(fleet.is_conversed)
+
+
+def test_the_death_of_the_agent_costs_a_request_its_time_alone(local: Fleet, tmp_path: Path) -> None:
+    local.start()
+    until(local.is_conversed)
+    replies: list[dict[str, Any]] = []
+    waiting = threading.Thread(
+        target=lambda: replies.append(local.ask("wait", **{**ENDLESS, "timeout_s": 2.0}))
+    )
+    waiting.start()
+    (agent,) = list_agents(tmp_path)
+    until(lambda: list_children(agent))
+    os.kill(agent, signal.SIGKILL)
+    waiting.join(ANSWERS_S)
+    assert [reply["state"] for reply in replies] == ["running"]
+    assert local.transport.calls[-1] == ("edge1", "wait")
+    assert not local.is_conversed(), "the next agent is not begun at once"
+
+
+def test_agents_that_are_killed_again_and_again_cost_no_request(
+    local: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(conversation, "REST_S", 0.0)
+    local.start()
+    over = threading.Event()
+    killed: list[int] = []
+    with local.pool.connect(local.hosts[0], timeout=ANSWERS_S) as session:
+        conversing = session._session
+    assert isinstance(conversing, ConversingSession)
+
+    def kill() -> None:
+        # Agents of calls are left alone: their death is an error, as ever.
+        while not over.wait(0.02):
+            exchange = conversing._conversation and conversing._conversation._exchange
+            if isinstance(exchange, LocalExchange):
+                killed.append(exchange._process.pid)
+                exchange._process.kill()
+
+    killing = threading.Thread(target=kill)
+    killing.start()
+    try:
+        until(lambda: local.ask("status", task=None)["tasks"].keys() == {"slam"} and len(set(killed)) >= 4)
+        for _ in range(10):
+            assert local.ask("status", task=None)["tasks"].keys() == {"slam"}
+    finally:
+        over.set()
+        killing.join()
+
+
+def test_nothing_is_left_on_the_host_or_here(fleet: Fleet, lab: Lab, tmp_path: Path) -> None:
+    folders = [tmp_path, *(server.directory for server in lab.servers.values())]
+    for host in fleet.hosts[:2]:
+        until(partial(fleet.is_conversed, host))
+    assert any(list_agents(folder) for folder in folders)
+    fleet.pool.close()
+    until(lambda: not list_threads())
+    until(lambda: not any(list_agents(folder) for folder in folders))
+
+
+def test_a_line_that_falls_silent_ends_the_agent_and_not_the_task(lab: Lab) -> None:
+    server = lab["edge1"]
+    relay = Relay((server.address, server.port), RelayFault.SILENCE, 1 << 40)
+    lab.known_hosts.write_text(f"[127.0.0.1]:{relay.port} {server.key}\n")
+    fleet = Fleet(lab.host("edge1", host="127.0.0.1", port=relay.port))
+    try:
+        with fleet.pool:
+            fleet.start()
+            until(fleet.is_conversed)
+            (agent,) = list_agents(server.directory)
+            relay._left = 0
+            began = time.monotonic()
+            until(lambda: not is_running(agent))
+            assert time.monotonic() - began < patience(3.0)
+            with pytest.raises(DeadlineError):
+                fleet.ask("status", task=None, timeout=1.0)
+    finally:
+        relay.close()
+    after = Fleet(lab.host("edge1", host=server.address, port=server.port))
+    lab.write_files()
+    with after.pool:
+        assert after.ask("status", task=None)["tasks"]["slam"]["state"] == "running"
+        after.stop()
+
+
+def test_a_host_with_room_for_one_channel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The conversation gives way to the calls that it cannot carry, for good."""
+    with running_lab(tmp_path / "lab", ["edge1"], extra=["MaxSessions 1"]) as lab:
+        monkeypatch.setenv("EDGECTL_SSH_CONFIG", str(lab.ssh_config))
+        fleet = Fleet(lab.host("edge1"))
+        with fleet.pool:
+            for _ in range(3):
+                fleet.start()
+                assert fleet.ask("status", task=None)["tasks"].keys() == {"slam"}
+                with fleet.pool.connect(fleet.hosts[0], timeout=ANSWERS_S) as session:
+                    asked = {"op": "follow", "fleet": "lab", "host": "edge1", "task": "slam"}
+                    pieces = stream_agent_log(
+                        session, {**asked, "tail": 1, "since_s": None}, idle_timeout=ANSWERS_S
+                    )
+                    assert b"up" in next(pieces)
+                    pieces.close()  # type: ignore[attr-defined]
+                fleet.stop()
+
+
+FORBIDDING = "ForceCommand sh -c 'f=$(mktemp) && cat >$f && sh -c \"$SSH_ORIGINAL_COMMAND\" <$f; rm -f $f'"
+
+
+def test_a_wrapper_that_reads_all_input_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """There is no first word, so nothing is asked that could be carried out later, and nothing is delayed."""
+    with running_lab(tmp_path / "lab", ["edge1"], extra=[FORBIDDING]) as lab:
+        monkeypatch.setenv("EDGECTL_SSH_CONFIG", str(lab.ssh_config))
+        fleet = Fleet(lab.host("edge1"))
+        with fleet.pool:
+            for number in range(8):
+                assert fleet.ask("status", task=None)["tasks"] == {}
+                assert len(fleet.transport.calls) == number + 1
+        until(lambda: not list_agents(lab["edge1"].directory))
+
+
+OPTIONS = ProbeOptions(window=0.05, timeout=ANSWERS_S)
+
+
+def run_watch(site: usecases.Fleet) -> Generator[object, None, None]:
+    yield from watch_fleet(site, WatchOptions(every=0.1, probe=OPTIONS))
+
+
+def run_top(site: usecases.Fleet) -> Generator[object, None, None]:
+    yield from probe_repeatedly(site, lambda: False, OPTIONS)
+
+
+def run_serve(site: usecases.Fleet) -> Generator[object, None, None]:
+    with keep_sessions_open(site) as kept:
+        while True:
+            yield probe_fleet(kept, OPTIONS)
+
+
+@pytest.mark.parametrize("run", [run_watch, run_top, run_serve])
+def test_what_asks_again_and_again_converses(
+    run: Callable[[usecases.Fleet], Generator[object, None, None]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    begin_early(monkeypatch)
+    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
+    hosts = [
+        Host(name=f"edge{n}", role=Role.EDGE, host=f"127.0.1.{n}", connection=Connection.LOCAL)
+        for n in (3, 2, 1)
+    ]
+    transport = CountingTransport()
+    site = usecases.Fleet(
+        inventory=an_inventory(*hosts), tasks=some_tasks(), transport=transport, state=tmp_path / "manager"
+    )
+    with closing(run(site)) as rounds:
+        for _ in range(100):
+            before = len(transport.calls)
+            next(rounds)
+            if len(transport.calls) == before:
+                break
+        assert len(transport.calls) == before, "each round has calls"
+    until(lambda: not list_agents(tmp_path))
+
+
+class ScriptedExchange:
+    """An agent that says what ``answer`` makes of each frame of the manager; None: its end."""
+
+    def __init__(self, answer: Callable[[str, int, bytes], bytes | None], marker: str) -> None:
+        self._answer, self._reader = answer, frames.FrameReader(frames.MANAGER_WORDS)
+        self._said: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        self._said.put(b"Welcome\n" + frame_reply(marker, {"op": protocol.OP_CONVERSE}))
+
+    def read(self, *, timeout: float) -> bytes:
+        try:
+            return self._said.get(timeout=timeout)
+        except queue.Empty:
+            raise DeadlineError("nothing came") from None
+
+    def write(self, data: bytes, *, timeout: float) -> None:
+        for each in self._reader.feed(data):
+            answer = self._answer(*each)
+            if answer != b"":
+                self._said.put(answer or b"")
+
+    def finish(self, data: bytes, *, timeout: float) -> None:
+        self._said.put(b"")
+
+    def expect_reply(self, *, timeout: float, limit: int) -> AbstractContextManager[None]:
+        return nullcontext()
+
+    def build_reply(self) -> Reply:
+        return Reply(stdout=b"", stderr=b"", status=0)
+
+    def close(self) -> None: ...
+
+
+class ScriptedSession:
+    """A host whose calls say ``by a call``, and whose agent is scripted."""
+
+    python = "python3"
+
+    def __init__(self, answer: Callable[[str, int, bytes], bytes | None]) -> None:
+        self.answer, self.begun = answer, 0
+
+    def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
+        return Reply(stdout=b"by a call", stderr=b"", status=0)
+
+    def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:
+        raise NotImplementedError
+
+    def exchange(self, command: str, stdin: bytes, *, timeout: float) -> OpenExchange:
+        raise NotImplementedError
+
+    def converse(
+        self, command: str, stdin: bytes, *, timeout: float, give_way: Callable[[], None]
+    ) -> OpenExchange:
+        self.begun += 1
+        return ScriptedExchange(self.answer, unpack_request(stdin)[0])
+
+    def close(self) -> None: ...
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None: ...
+
+
+STATUS = build_packet({"op": "status", "fleet": "lab", "host": "edge1", "task": None}, "0" * 32, 5.0)
+
+
+def run_scripted(session: ConversingSession, *, timeout: float = ANSWERS_S, limit: int = 1000) -> bytes:
+    return session.run(build_agent_command("python3"), STATUS, timeout=timeout, limit=limit).stdout
+
+
+def answer_well(word: str, number: int, _body: bytes) -> bytes:
+    if word != frames.ASK:
+        return b""
+    return frames.build_frame(frames.OUTPUT, number, b"shared") + frames.build_frame(frames.END, number, b"0")
+
+
+def until_shared(session: ConversingSession) -> None:
+    until(lambda: run_scripted(session) == b"shared")
+
+
+HOSTILE: dict[str, Callable[[str, int, bytes], bytes | None]] = {
+    "no frame": lambda *_: b"HTTP/1.1 400 Bad Request\n",
+    "a frame without end": lambda *_: b"x" * 100,
+    "a word of the manager": lambda _, number, __: frames.build_frame(frames.ASK, number, b"x"),
+    "a huge frame": lambda *_: b"output 1 65537\n",
+    "a negative length": lambda *_: b"output 1 -1\n",
+    "its end": lambda *_: None,
+    "a child that died": lambda _, number, __: frames.build_frame(frames.END, number, b"-9"),
+    "a part and its end": lambda _, number, __: frames.build_frame(frames.OUTPUT, number, b"sha"),
+    "a refusal": lambda _, number, __: frames.build_frame(frames.REFUSED, number),
+    "too much": lambda _, number, __: frames.build_frame(frames.OUTPUT, number, b"x" * 1001),
+    "another number": lambda _, number, __: (
+        frames.build_frame(frames.OUTPUT, number + 1, b"shared")
+        + frames.build_frame(frames.END, number + 1, b"0")
+        + b"no frame\n"
+    ),
+}
+
+
+@pytest.mark.parametrize("attack", HOSTILE)
+def test_what_a_host_says_wrongly_costs_a_call_and_changes_nothing(attack: str) -> None:
+    hostile = threading.Event()
+
+    def answer(word: str, number: int, body: bytes) -> bytes | None:
+        if not hostile.is_set() or word != frames.ASK:
+            return answer_well(word, number, body)
+        said = HOSTILE[attack](word, number, body)
+        return said + b"no frame\n" if said is not None and attack == "a part and its end" else said
+
+    with ConversingSession(ScriptedSession(answer)) as session:
+        until_shared(session)
+        hostile.set()
+        assert run_scripted(session) == b"by a call"
+
+
+def test_an_agent_that_ends_again_and_again_is_not_begun_again_and_again() -> None:
+    within = ScriptedSession(lambda word, *_: None if word == frames.ASK else b"")
+    with ConversingSession(within) as session:
+        until(lambda: run_scripted(session) and within.begun and not list_threads())
+        for _ in range(20):
+            assert run_scripted(session) == b"by a call"
+        assert within.begun == 1
+
+
+def test_three_refusals_in_a_row_end_it_for_good(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(conversation, "REST_S", 0.0)
+    asked: list[int] = []
+
+    def refuse(word: str, number: int, _body: bytes) -> bytes:
+        if word != frames.ASK:
+            return b""
+        asked.append(number)
+        return frames.build_frame(frames.REFUSED, number)
+
+    within = ScriptedSession(refuse)
+    with ConversingSession(within) as session:
+        until(lambda: run_scripted(session) and len(asked) == 3, every=0.01)
+        for _ in range(5):
+            assert run_scripted(session) == b"by a call"
+    assert (len(asked), within.begun) == (3, 1)
+
+
+def test_the_fourth_request_in_a_row_begins_a_conversation_and_does_not_wait_for_it() -> None:
+    within = ScriptedSession(answer_well)
+    with ConversingSession(within) as session:
+        for _ in range(conversation.MIN_IN_ROW - 1):
+            assert run_scripted(session) == b"by a call"
+        assert within.begun == 0
+        assert run_scripted(session) == b"by a call"
+        until(lambda: within.begun == 1)
+
+
+def test_requests_far_apart_have_calls(monkeypatch: pytest.MonkeyPatch) -> None:
+    within = ScriptedSession(answer_well)
+    monkeypatch.setattr(conversation, "KEEP_S", 0.09)
+    with ConversingSession(within) as session:
+        for _ in range(8):
+            for _ in range(conversation.MIN_IN_ROW - 1):
+                assert run_scripted(session) == b"by a call"
+            time.sleep(0.1)
+        assert within.begun == 0
+
+
+def test_a_conversation_that_nobody_uses_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(conversation, "REST_S", 0.0)
+    within = ScriptedSession(answer_well)
+    with ConversingSession(within) as session:
+        until_shared(session)
+        monkeypatch.setattr(conversation, "KEEP_S", 0.0)
+        until(lambda: not list_threads())
+        monkeypatch.undo()
+        assert run_scripted(session) == b"by a call"
+
+
+def test_a_deadline_and_an_interruption_reach_the_asker() -> None:
+    silent = threading.Event()
+    with ConversingSession(
+        ScriptedSession(lambda *given: b"" if silent.is_set() else answer_well(*given))
+    ) as session:
+        until_shared(session)
+        silent.set()
+        with pytest.raises(DeadlineError, match=r"no answer within 0.1 s"):
+            run_scripted(session, timeout=0.1)
+
+
+def test_a_request_that_is_longer_than_a_frame_has_a_call() -> None:
+    links = [{"robot": f"robot{n}", "address": f"10.0.{n // 250}.{n % 250}"} for n in range(2000)]
+    request = {"op": "probe", "fleet": "lab", "host": "edge1", "links": links}
+    packet = build_packet(request, "0" * 32, 5.0)
+    with ConversingSession(ScriptedSession(answer_well)) as session:
+        until_shared(session)
+        assert session.run(build_agent_command("python3"), packet, timeout=ANSWERS_S).stdout == b"by a call"
+        assert run_scripted(session) == b"shared"
+
+
+def test_slices_of_one_machine_share_few_agents() -> None:
+    staying: dict[str, set[str]] = {}
+
+    def count_shared(hosts: list[Host]) -> int:
+        sessions = [
+            conversation.share_agent(ScriptedSession(answer_well), host, lambda each: each.host, staying)
+            for host in hosts
+        ]
+        return sum(isinstance(each, ConversingSession) for each in sessions)
+
+    slices = [Host(name=f"slice{n}", role=Role.EDGE, host="10.0.0.1") for n in range(20)]
+    assert [count_shared(slices), count_shared(slices[:3]), count_shared(slices[12:])] == [8, 3, 0]
+    assert count_shared([Host(name="other", role=Role.EDGE, host="10.0.0.2")]) == 1
+    here = [
+        Host(name=f"here{n}", role=Role.EDGE, host=f"127.0.0.{n}", connection=Connection.LOCAL)
+        for n in range(20)
+    ]
+    assert count_shared(here) == 8
+    programs = [
+        Host(name=f"far{n}", role=Role.EDGE, host=f"10.1.0.{n}", connection=Connection.OPENSSH)
+        for n in range(80)
+    ]
+    assert count_shared(programs) == 64
+
+
+def test_a_plain_session_stays_plain() -> None:
+    class Plain(ScriptedSession):
+        converse = None  # type: ignore[assignment]
+
+    class Only:
+        def connect(self, host: Host, *, timeout: float) -> Session:
+            return Plain(answer_well)
+
+        def address(self, host: Host) -> str:
+            raise ConnectError("nowhere")
+
+    host = Host(name="edge1", role=Role.EDGE, host="localhost")
+    with SessionPool(Only(), converse=True) as pool, pool.connect(host, timeout=1.0) as session:
+        for _ in range(3):
+            assert session.run(build_agent_command("python3"), STATUS, timeout=5.0).stdout == b"by a call"
