@@ -127,7 +127,7 @@ def _list_inner(node: Node | None) -> list[Node]:
 
 def _check_service_option(node: Node, problems: Problems) -> None:
     """An option of ``docker create`` that ``docker service create`` does not have, or has for edgectl."""
-    found = _OPTION_PATTERN.fullmatch(str(node.value))
+    found = re.fullmatch(_OPTION_PATTERN, str(node.value))
     option = str(node.value).partition("=")[0]
     if found is not None and found[1] in _OWN_SERVICE_OPTIONS:
         message = f"{option} is an option that edgectl sets itself"

@@ -9,18 +9,18 @@ when the task is weighed. Every operation is that of ``scan``, element by elemen
 from collections.abc import Mapping, Sequence
 from dataclasses import field
 from math import inf
+from operator import itemgetter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from edgectl.dataclass import dataclass
 from edgectl.model.policy import Weights
 from edgectl.model.resource import NETWORK
+from edgectl.scheduler.array_types import Array, Flags, Indexes
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.demand import ClassDemands
 from edgectl.scheduler.edge_groups import group_edges
 
-Array = NDArray[np.float64]
 # Numbers that one block holds: some 4 MiB.
 MAX_BLOCK = 500_000
 
@@ -57,10 +57,10 @@ class MeasuredRows:
     weights: Weights
     resources: tuple[str, ...]
     kinds: Sequence[str]
-    kind_of: NDArray[np.intp]
+    kind_of: Indexes
     raw: Array
     usable: Array
-    spread: NDArray[np.intp]
+    spread: Indexes
     size: int
     blocks: list[DemandBlock] = field(default_factory=list)
 
@@ -93,9 +93,9 @@ class MeasuredRows:
     def _build_block(self, start: int) -> DemandBlock:
         names = self.names[start : start + self.size]
         shares: Array = np.zeros((len(names), len(self.resources) + 1, self.raw.shape[1]))
+        stated, percent = self._list_amounts(names)
         for index, name in enumerate(self.resources):
-            amounts, relative = self._list_amounts(names, name)
-            amounts = amounts.take(self.kind_of, axis=1)
+            amounts, relative = stated[:, :, index].take(self.kind_of, axis=1), percent[:, :, index]
             raw, usable = self.raw[index], self.usable[index]
             if relative.any():
                 with np.errstate(invalid="ignore"):
@@ -103,27 +103,39 @@ class MeasuredRows:
                 amounts = np.where(relative.take(self.kind_of, axis=1), shared, amounts)
             np.divide(amounts, usable, out=shares[:, index], where=usable > 0)
             shares[:, -1] += self.weights[name] * shares[:, index]
-        rates, relative = self._list_amounts(names, NETWORK.name)
+        rates = stated[:, :, -1].copy()
         return DemandBlock(
             start=start,
             shares=shares.reshape(len(names), -1),
             rates=rates,
-            shared=np.logical_or.reduce(relative, axis=1).tolist(),
+            shared=np.logical_or.reduce(percent[:, :, -1], axis=1).tolist(),
             even=(rates == rates[:, :1]).all(axis=1).tolist(),
         )
 
-    def _list_amounts(self, names: Sequence[str], resource: str) -> tuple[Array, NDArray[np.bool_]]:
-        """By task and class of hosts: the demand, and whether it is a share."""
-        found: list[tuple[float, bool]] = []
+    def _list_amounts(self, names: Sequence[str]) -> tuple[Array, Flags]:
+        """By task, class of hosts and resource, the network last: the demand, and whether it is a share."""
+        resources = *self.resources, NETWORK.name
+        pick = itemgetter(*resources)
+        amounts: list[float] = []
+        percent: list[int] = []
         for name in names:
-            found += self.demands[name].list_amounts(self.kinds, resource)
-        amounts, relative = zip(*found, strict=True)
-        shape = len(names), len(self.kinds)
-        return np.array(amounts, float).reshape(shape), np.array(relative, bool).reshape(shape)
+            demands = self.demands[name]
+            for kind in self.kinds:
+                try:
+                    amounts += pick(demands.get_measured(kind))
+                except KeyError:  # not all of it is as measured there
+                    for quantity in demands.list_quantities(kind, resources):
+                        if quantity.relative:
+                            percent.append(len(amounts))
+                        amounts.append(quantity.value)
+        relative: Flags = np.zeros(len(amounts), bool)
+        relative[percent] = True
+        shape = len(names), len(self.kinds), len(resources)
+        return np.array(amounts, float).reshape(shape), relative.reshape(shape)
 
 
 def build_measured_rows(
-    fleet: Capacities, names: Sequence[str], kinds: Sequence[str], kind_of: NDArray[np.intp], weights: Weights
+    fleet: Capacities, names: Sequence[str], kinds: Sequence[str], kind_of: Indexes, weights: Weights
 ) -> MeasuredRows:
     """The demands of ``names`` in ``fleet``, nothing computed yet. ``kind_of``: by edge."""
     edges = fleet.edges

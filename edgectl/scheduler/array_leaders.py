@@ -11,13 +11,13 @@ from dataclasses import field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from edgectl.dataclass import dataclass
 from edgectl.model.policy import Preference
 from edgectl.model.resource import AFFINITY, LATENCY, NETWORK, RATING
 from edgectl.model.task import Task
-from edgectl.scheduler.array_scan import Array, ArrayScan, ArrayTotals, FreeArrays, fill_link_terms
+from edgectl.scheduler.array_scan import ArrayScan, ArrayTotals, FreeArrays, fill_link_terms
+from edgectl.scheduler.array_types import Array, Indexes
 from edgectl.scheduler.candidates import AssignmentContext
 from edgectl.scheduler.ledger import Ledger
 from edgectl.scheduler.ranking import SHORT_RANKING, is_ranking_full
@@ -34,8 +34,9 @@ class StartTotals:
     """Whatever the totals of all starts of one pass have in common.
 
     ``placed``: how many tasks the pass has put on each place so far. ``utilities``: UT_task by reward, by the
-    number of predecessors and the rewards. ``totals`` by place, and ``links``, UT_net by edge, are of the
-    last task, as is ``scratch``.
+    number of predecessors and the rewards. ``totals`` by place, of which ``edges`` is the part of the edges,
+    and ``links``, UT_net by edge, are of the last task, as is ``scratch``. ``weighs_near``, ``weighs_far``:
+    whether sums of terms decide ties, of tasks with predecessors and without.
     """
 
     context: AssignmentContext
@@ -43,8 +44,11 @@ class StartTotals:
     free: FreeArrays
     placed: Mapping[int, int]
     totals: ArrayTotals
+    edges: Array
     links: Array
     scratch: Array
+    weighs_near: bool
+    weighs_far: bool
     utilities: dict[tuple[int, ...], Mapping[int, float]] = field(default_factory=dict)
 
 
@@ -58,14 +62,18 @@ def build_start_totals(
     plain = plain and not any(policy.weights[name] for name in others)
     if context.arrays is None or ledger.mirror is None or not plain:
         return None
+    row: Array = np.full(len(fleet.places), EXCLUDED_TOTAL)
     return StartTotals(
         context=context,
         arrays=context.arrays,
         free=ledger.mirror,
         placed=placed,
-        totals=ArrayTotals(np.full(len(fleet.places), EXCLUDED_TOTAL)),
+        totals=ArrayTotals(row),
+        edges=row[: fleet.edges],
         links=np.empty(fleet.edges),
         scratch=np.empty(fleet.edges),
+        weighs_near=is_free_share_weighed(context, (0,)),
+        weighs_far=is_free_share_weighed(context, ()),
     )
 
 
@@ -94,7 +102,7 @@ def fill_totals(
     weights, shares, free = start.context.policy.weights, start.arrays.shares, start.free
     weight, far = weights[AFFINITY], utilities.get(-len(located), 0.0)
     row = start.totals.row
-    totals = np.add(free.weighted, weight * far, out=row[: len(free.weighted)])
+    totals = np.add(free.weighted, weight * far, out=start.edges)
     totals -= shares.weigh_hosts(task, start.arrays.weights)
     fill_link_terms(start.links, free, shares, task)
     totals += np.multiply(start.links, weights[NETWORK.name], out=start.scratch)
@@ -135,13 +143,13 @@ def _find_tied_leaders(
     """
     row = start.totals.row
     window = (row >= other - 2 * EPSILON).nonzero()[0]
-    terms = _compute_terms(start, task, window)
-    if terms.min() < LEAST_TERM:
+    terms = _list_terms(start, task, window)
+    if min(map(min, terms)) < LEAST_TERM:
         return None
     places = window.tolist()
-    totals = dict(zip(places, row[window].tolist(), strict=True))
-    weighed = is_free_share_weighed(start.context, located)
-    sums = dict(zip(places, terms.sum(axis=0).tolist(), strict=True)) if weighed else {}
+    totals = dict(zip(places, row.take(window).tolist(), strict=True))
+    weighed = start.weighs_near if located else start.weighs_far
+    sums = dict(zip(places, map(sum, zip(*terms, strict=True)), strict=True)) if weighed else {}
     tied = [place for place in places if totals[place] >= top - EPSILON]
     first = _choose_tied(start, tied, tied, sums)
     if first is None:
@@ -150,11 +158,11 @@ def _find_tied_leaders(
     return None if second is None else Leaders(first, second)
 
 
-def _compute_terms(start: StartTotals, task: Task, places: NDArray[np.intp]) -> Array:
-    """UT of each resource that counts, one row each, at ``places``."""
+def _list_terms(start: StartTotals, task: Task, places: Indexes) -> list[list[float]]:
+    """UT of each resource that counts, one row each, at ``places``: lists, because these are few."""
     shares, _ = start.arrays.shares.of_hosts(task, start.arrays.weights)
-    rows = [free[places] - demanded[places] for free, demanded in zip(start.free.free, shares, strict=True)]
-    return np.array([*rows, start.links[places]])
+    terms: Array = start.free.free.take(places, axis=1) - shares.take(places, axis=1)
+    return [*terms.tolist(), start.links.take(places).tolist()]
 
 
 def _choose_rival(
@@ -163,7 +171,7 @@ def _choose_rival(
     """The place that comes next to ``first``; None where rounding may decide."""
     least = max(total for place, total in totals.items() if place != first) - 2 * EPSILON
     near = [place for place, total in totals.items() if total >= least or place == first]
-    if not is_ranking_full(start.context, range(start.context.fleet.edges)):
+    if len(near) > SHORT_RANKING and not is_ranking_full(start.context, range(start.context.fleet.edges)):
         near = sorted(near, key=totals.__getitem__, reverse=True)[:SHORT_RANKING]
     rivals = sorted(place for place in near if place != first)
     if len(rivals) == 1:

@@ -10,7 +10,6 @@ from dataclasses import field
 from math import inf
 
 import numpy as np
-from numpy.typing import NDArray
 
 from edgectl.dataclass import dataclass
 from edgectl.model.demand import ZERO, Demand, Quantity
@@ -18,6 +17,7 @@ from edgectl.model.policy import Weights
 from edgectl.model.resource import NETWORK, NOTHING
 from edgectl.model.task import Task
 from edgectl.scheduler.array_demands import MeasuredRows, build_measured_rows
+from edgectl.scheduler.array_types import Array, Indexes
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.demand import OTHER_CLASS
 from edgectl.scheduler.ledger import NO_FREE_SHARE, Ledger
@@ -29,8 +29,6 @@ from edgectl.scheduler.scan import (
     list_uncounted_demands,
 )
 from edgectl.scheduler.utility import EPSILON
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +49,7 @@ class ArrayShares:
     links: dict[str, Array]
     nominal_links: dict[str, Array]
     kinds: tuple[str, ...]
-    kind_of: NDArray[np.intp]
+    kind_of: Indexes
     measured: MeasuredRows
     stated: dict[object, tuple[Array, Array]] = field(default_factory=dict)
     units: dict[tuple[str, bool], Array] = field(default_factory=dict)
@@ -177,13 +175,16 @@ def build_array_shares(fleet: Capacities, weights: Weights, names: Iterable[str]
     places = {kind: index for index, kind in enumerate(kinds)}
     kind_of = np.array([places[kind] for kind in fleet.classes[:edges]] or [0] * edges, dtype=np.intp)
     measured = [name for name in names if name in fleet.demands]
+    links = _build_link_arrays(fleet.links)
     return ArrayShares(
         fleet=fleet,
         names=fleet.counted,
         raw=np.array([fleet.raw[name][:edges] for name in fleet.counted]),
         usable=np.array([fleet.usable[name][:edges] for name in fleet.counted]),
-        links=_build_link_arrays(fleet.links),
-        nominal_links=_build_link_arrays(fleet.nominal_links),
+        links=links,
+        nominal_links=links
+        if fleet.nominal_links == fleet.links
+        else _build_link_arrays(fleet.nominal_links),
         kinds=kinds,
         kind_of=kind_of,
         measured=build_measured_rows(fleet, measured, kinds, kind_of, weights),
@@ -191,24 +192,27 @@ def build_array_shares(fleet: Capacities, weights: Weights, names: Iterable[str]
 
 
 def _build_link_arrays(links: Mapping[str, Sequence[float | None]]) -> dict[str, Array]:
-    return {robot: np.array([each or 0.0 for each in row]) for robot, row in links.items()}
+    return {
+        robot: np.array([each or 0.0 for each in row] if None in row else row) for robot, row in links.items()
+    }
 
 
 @dataclass(slots=True, kw_only=True)
 class FreeArrays:
-    """The free shares of a ledger by edge, kept in step with it. ``free``: one row for each of ``names``.
-    ``weighted``: under ``weights``.
+    """The free shares of a ledger by edge, kept in step with it. ``free``: one row for each resource of hosts
+    that counts, ``rows``: the same by name. ``weighted``: under ``weights``.
     """
 
-    names: tuple[str, ...]
     free: Array
+    rows: Mapping[str, Array]
     free_links: dict[str, Array]
     weighted: Array
 
     def set_free(self, place: int, name: str, share: float) -> None:
         """Follow a change of one resource."""
-        if place < len(self.weighted) and name in self.names:
-            self.free[self.names.index(name), place] = share
+        row = self.rows.get(name)
+        if row is not None and place < len(row):
+            row[place] = share
 
     def set_link(self, place: int, robot: str, share: float) -> None:
         """Follow a change of one link."""
@@ -273,9 +277,10 @@ class ArrayScan:
     def mirror(self, ledger: Ledger) -> None:
         """Let arrays follow ``ledger`` from now on."""
         edges = ledger.fleet.edges
+        free: Array = np.array([ledger.free[name][:edges] for name in self.shares.names])
         ledger.mirror = FreeArrays(
-            names=self.shares.names,
-            free=np.array([ledger.free[name][:edges] for name in self.shares.names]),
+            free=free,
+            rows=dict(zip(self.shares.names, free, strict=True)),  # each a view of its row
             free_links={robot: np.array(row) for robot, row in ledger.free_links.items()},
             weighted=np.array(ledger.weigh_free(self.weights)[:edges]),
         )

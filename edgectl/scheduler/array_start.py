@@ -27,11 +27,10 @@ from edgectl.scheduler.array_leaders import (
 )
 from edgectl.scheduler.array_scan import ArrayTotals
 from edgectl.scheduler.candidates import AssignmentContext, get_edge_rejections
-from edgectl.scheduler.demand import demand_at
 from edgectl.scheduler.latency import NO_LATENCY_TERM, has_prediction
 from edgectl.scheduler.lazy_ranking import LazyCounts, LazyDemands, LazyRanking, LoadHistory, RankingRequest
 from edgectl.scheduler.ledger import Ledger
-from edgectl.scheduler.scan import list_uncounted_demands
+from edgectl.scheduler.scan import EXCLUDED_TOTAL, list_uncounted_demands
 from edgectl.scheduler.task_usage import TaskUsage
 from edgectl.scheduler.utility import EPSILON, compute_affinity, resource_utility
 
@@ -71,7 +70,8 @@ class StartTable:
     """Whatever is the same for all starts of one pass.
 
     ``rows`` by resource that counts: name and weight; of hosts also capacity before and after limits, and
-    gamma, by place. ``idle``: a load of nothing. ``history``: of the pass, where decisions are asked for.
+    gamma, by place; ``names`` of them all. ``idle``: a load of nothing. ``history``: of the pass, where
+    decisions are asked for.
     """
 
     start: StartTotals
@@ -79,6 +79,7 @@ class StartTable:
     ledger: Ledger
     history: LoadHistory | None
     rows: Sequence[tuple[str, float, Sequence[float], Sequence[float], Sequence[float]]]
+    names: frozenset[str]
     idle: Mapping[str, float]
 
 
@@ -94,6 +95,7 @@ def build_starter(
     start = build_start_totals(context, ledger, placed)
     if start is None:
         return None
+    names = [name for name in RESOURCES_BY_NAME if name == NETWORK.name or name in fleet.counted]
     table = StartTable(
         start=start,
         context=context,
@@ -107,9 +109,9 @@ def build_starter(
                 fleet.usable.get(name, ()),
                 ledger.used.get(name, ()),
             )
-            for name in RESOURCES_BY_NAME
-            if name == NETWORK.name or name in fleet.counted
+            for name in names
         ],
+        names=frozenset(names),
         idle=dict.fromkeys((name for name in RESOURCES_BY_NAME if name in ledger.used), 0.0),
     )
     return partial(_start_task, table)
@@ -189,10 +191,13 @@ def _list_rivals(
     second: Score,
     score: Callable[[int], Score | None],
 ) -> list[Score | None]:
-    """The other places that might have won without predecessors: beside one, and the best of the rest."""
-    others = totals.copy()
-    others.exclude(near)
-    top = others.find_top()
+    """The other places that might have won without predecessors: beside one, and the best of the rest.
+
+    Nothing asks for the totals afterwards.
+    """
+    for place in near:
+        totals[place] = EXCLUDED_TOTAL
+    top = totals.find_top()
     rest = [] if top is None else [second if top == second.place else score(top)]
     return [*rest, *(score(place) for place in near if place != first.place)]
 
@@ -205,8 +210,10 @@ def _score_edge(table: StartTable, task: Task, place: int, utility: float) -> Sc
     """
     ledger, weights = table.ledger, table.context.policy.weights
     fleet = ledger.fleet
-    known = fleet.demands.get(task.name)
+    known, stated = fleet.demands.get(task.name), task.demand
     measured = _NONE_MEASURED if known is None else known.get_measured(fleet.classes[place])
+    if known is not None and not table.names.issubset(measured):
+        stated = known.at(fleet.classes[place])
     worst, links = 1.0, {}
     for robot in task.robots:
         row = fleet.links.get(robot)
@@ -215,7 +222,7 @@ def _score_edge(table: StartTable, task: Task, place: int, utility: float) -> Sc
             return None
         rate = measured.get(NETWORK.name)
         if rate is None:
-            rate = (demand_at(fleet, task, place)[NETWORK.name] or ZERO).of(best)
+            rate = (stated[NETWORK.name] or ZERO).of(best)
         links[robot] = rate
         worst = min(worst, resource_utility(now, ledger.links[robot][place], rate))
     used = dict(table.idle)
@@ -225,7 +232,7 @@ def _score_edge(table: StartTable, task: Task, place: int, utility: float) -> Sc
         if name != NETWORK.name:
             amount = measured.get(name)
             if amount is None:
-                amount = (demand_at(fleet, task, place)[name] or ZERO).of(raw[place])
+                amount = (stated[name] or ZERO).of(raw[place])
             used[name] = amount
             capacity = usable[place]
             term = resource_utility(capacity, loads[place], amount) if capacity > 0 else -1.0

@@ -14,14 +14,12 @@ from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task, Tasks
-from edgectl.scheduler.best_plan import find_best_plan
 from edgectl.scheduler.candidates import AssignmentContext
 from edgectl.scheduler.capacities import Capacities, build_capacities
 from edgectl.scheduler.demand import add_measured_demands
 from edgectl.scheduler.demand_spread import find_demand_spreads
 from edgectl.scheduler.garbage import pause_collection
 from edgectl.scheduler.initial_state import InitialState, build_initial_state
-from edgectl.scheduler.integer_program import Solver
 from edgectl.scheduler.move_cost import collect_handoff_history
 from edgectl.scheduler.operator_pins import (
     NOTHING_YIELDED,
@@ -30,6 +28,7 @@ from edgectl.scheduler.operator_pins import (
     pin_tasks,
     resolve_pins,
 )
+from edgectl.scheduler.pass_state import PlacementPass
 from edgectl.scheduler.placement_rules import NO_RULES, build_placement_rules
 from edgectl.scheduler.policies import POLICIES
 from edgectl.scheduler.preference import sign_weights
@@ -39,12 +38,12 @@ from edgectl.scheduler.scan import build_demand_shares
 from edgectl.scheduler.sequence import order_tasks
 from edgectl.scheduler.settle import run_once, run_with_groups
 from edgectl.scheduler.shortage import compute_shortages
-from edgectl.scheduler.single_pass import PlacementPass
 from edgectl.scheduler.standby_steps import build_standby_steps
 from edgectl.scheduler.standbys import place_standbys
 
 if TYPE_CHECKING:
     from edgectl.scheduler.array_scan import ArrayScan
+    from edgectl.scheduler.integer_program import Solver
 
 # From so many pairs of an edge and a task on NumPy pays for its import.
 MIN_ARRAY_PAIRS = 300_000
@@ -57,7 +56,7 @@ def assign(
     manager: ManagerState,
     policy: Policy,
     now: float,
-    solve: Solver | None = None,
+    solve: "Solver | None" = None,
     *,
     explain: bool = True,
 ) -> Assignment:
@@ -83,7 +82,7 @@ def _assign(
     manager: ManagerState,
     policy: Policy,
     now: float,
-    solve: Solver | None,
+    solve: "Solver | None",
     *,
     explain: bool,
 ) -> Assignment:
@@ -129,6 +128,8 @@ def _assign(
         known = run_with_groups(how, optimal=solve is not None)
         made, found = known.how, known.found
         if solve is not None:
+            from edgectl.scheduler.best_plan import find_best_plan
+
             found, certificate = find_best_plan(how, known, solve)
         outcome, settled = found.outcome, found.settled
     # A pin is about the task itself: its copies wait wherever its file lets them.

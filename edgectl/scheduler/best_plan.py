@@ -10,9 +10,11 @@ from math import inf
 
 from edgectl.model.assignment import Certificate, Decision, Reason, Verdict
 from edgectl.scheduler.choice import Choice
-from edgectl.scheduler.decided_plan import DecidedPlan, choose_places, list_wanted, rebalance_plan
+from edgectl.scheduler.decided_plan import DecidedPlan, choose_places, list_wanted
 from edgectl.scheduler.integer_program import Solver
 from edgectl.scheduler.optimum import build_problem, certify, find_optimum, value_plan
+from edgectl.scheduler.pass_state import PlacementPass
+from edgectl.scheduler.rebalanced_plan import rebalance_plan
 from edgectl.scheduler.settle import (
     GroupedPlan,
     SettledPlan,
@@ -22,7 +24,6 @@ from edgectl.scheduler.settle import (
     take_better,
     withhold_tasks,
 )
-from edgectl.scheduler.single_pass import PlacementPass
 from edgectl.scheduler.stability_rows import list_departures
 
 # Plans that more tasks leave by themselves are not settled before the solver has looked for another one.

@@ -4,7 +4,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import field
 from math import inf
-from operator import itemgetter
 from typing import TYPE_CHECKING
 
 from edgectl.dataclass import dataclass
@@ -12,7 +11,7 @@ from edgectl.model.assignment import Rejection, RejectionRule
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.resource import CPU, GPU, HOST_RESOURCES, NOTHING, Resource
-from edgectl.model.snapshot import HostSample, Snapshot
+from edgectl.model.snapshot import HostSample, LinkSample, Snapshot
 from edgectl.names import natural_key
 from edgectl.rules.slack import compute_slack
 from edgectl.scheduler.task_usage import TaskUsage
@@ -24,6 +23,9 @@ if TYPE_CHECKING:
 MAX_SAMPLE_AGE_S = 60.0
 # Capacities of an optional resource that make no place differ from another for what demands none of it.
 _LIMITLESS = frozenset((0.0, inf, NOTHING))
+
+# By edge; None where there is no link.
+LinkRow = tuple[float | None, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,7 +99,8 @@ def build_capacities(
     }
     ranked = sorted(range(len(places)), key=lambda place: natural_key(places[place].name))
     order = dict(zip(ranked, range(len(ranked)), strict=True))
-    links = {robot.name: _list_links(inventory, edges, samples, robot.name) for robot in robots}
+    shown = list_shown_links(samples[: len(edges)])
+    links = {robot.name: _list_links(inventory, edges, shown, robot.name) for robot in robots}
     return Capacities(
         places=places,
         index={host.name: place for place, host in enumerate(places)},
@@ -112,8 +115,8 @@ def build_capacities(
             )
             for name, row in raw.items()
         },
-        links={robot: tuple(map(itemgetter(0), row)) for robot, row in links.items()},
-        nominal_links={robot: tuple(map(itemgetter(1), row)) for robot, row in links.items()},
+        links={robot: now for robot, (now, _) in links.items()},
+        nominal_links={robot: nominal for robot, (_, nominal) in links.items()},
         closed=closed,
         hard=frozenset(
             place
@@ -150,25 +153,36 @@ def _limit_capacity(capacity: float, host: Host, sample: HostSample | None, reso
     return usable * compute_cool_share(host, sample)
 
 
+def list_shown_links(samples: Sequence[HostSample | None]) -> list[Mapping[str, LinkSample]]:
+    """The links that each host shows, by robot."""
+    return [{} if sample is None else sample.links for sample in samples]
+
+
 def _list_links(
-    inventory: Inventory, edges: Sequence[Host], samples: Sequence[HostSample | None], robot: str
-) -> list[tuple[float | None, float | None]]:
+    inventory: Inventory, edges: Sequence[Host], shown: Sequence[Mapping[str, LinkSample]], robot: str
+) -> tuple[LinkRow, LinkRow]:
     """Delta_thp of the link of each edge, and what it carries at best: a declared link wins unless it carries
     less now, but only an edge that reports the link has it.
     """
-    stated = inventory.links
-    found: list[tuple[float | None, float | None]] = []
-    for edge, sample in zip(edges, samples, strict=False):  # the samples go on to the robots
-        link = sample.links.get(robot) if sample is not None else None
-        now = None if link is None else link.capacity_bytes_per_s
-        declared = stated.get((edge.name, robot)) if stated else None
-        if link is None or not now:
-            found.append((now, None if now is None else 0.0))
-        elif declared is None:
-            found.append((now, link.nominal_bytes_per_s))
-        else:
-            found.append((declared if link.nominal is None else min(declared, now), declared))
-    return found
+    found = [links.get(robot) for links in shown]
+    now = tuple([None if link is None else link.capacity_bytes_per_s for link in found])
+    lowered = [link for link in found if link is not None and link.nominal is not None]
+    if not inventory.links and not lowered:
+        return now, now
+    pairs = [
+        _resolve_link(link, inventory.links.get((edge.name, robot)))
+        for edge, link in zip(edges, found, strict=True)
+    ]
+    return tuple([pair[0] for pair in pairs]), tuple([pair[1] for pair in pairs])
+
+
+def _resolve_link(link: LinkSample | None, declared: float | None) -> tuple[float | None, float | None]:
+    if link is None or not link.capacity_bytes_per_s:
+        return (None, None) if link is None else (link.capacity_bytes_per_s, 0.0)
+    now = link.capacity_bytes_per_s
+    if declared is None:
+        return now, link.nominal_bytes_per_s
+    return declared if link.nominal is None else min(declared, now), declared
 
 
 def _find_closing_rule(

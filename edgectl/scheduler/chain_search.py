@@ -11,7 +11,7 @@ from edgectl.scheduler.packing import (
     fits,
     has_budget,
     list_conflicts,
-    list_lacks,
+    list_sufficient,
     solves,
 )
 
@@ -35,12 +35,12 @@ def shift_chain(packing: Packing, item: Item, movable: Collection[str], longest:
     fits somewhere: the shortest such chain, of at most ``longest`` others.
     """
     chain = [_Link(item, -1, -1, ())]
-    seen = {item.name}
+    unasked = {*movable} - {item.name}
     for index, link in enumerate(chain):  # which grows
         if packing.work <= 0 or len(link.left) >= longest:
             return False
-        for place, other in _list_giving_way(packing, link, movable, seen):
-            seen.add(other.name)
+        for place, other in _list_giving_way(packing, link, unasked):
+            unasked.remove(other.name)
             left = (*link.left, place)
             goal = find_place(packing, other, left)
             if goal is None and len(left) >= longest:
@@ -52,28 +52,22 @@ def shift_chain(packing: Packing, item: Item, movable: Collection[str], longest:
     return False
 
 
-def _list_giving_way(
-    packing: Packing, link: _Link, movable: Collection[str], besides: Collection[str]
-) -> Iterator[tuple[int, Item]]:
-    """Items of which each alone makes room for the item of ``link`` by leaving, and their places."""
-    item, charged = link.item, packing.charged
+def _list_giving_way(packing: Packing, link: _Link, unasked: Collection[str]) -> Iterator[tuple[int, Item]]:
+    """Items of ``unasked`` of which each alone makes room for the item of ``link`` by leaving, and their
+    places.
+    """
+    item = link.item
+    packing.work -= len(item.places)
     for place in item.places:
         if place in link.left:
             continue
-        packing.work -= 1
-        lacks = None  # most places have nobody left to ask
-        for name in packing.on[place]:
-            if name in besides or name not in movable:
-                continue
-            if lacks is None:
-                lacks, conflicts = list_lacks(packing, item, place), list_conflicts(packing, item, place)
-            released = charged[name]
-            for column, lack in lacks:
-                if released.get(column, 0.0) < lack:
-                    break
-            else:
-                if not conflicts or solves([name], conflicts):
-                    yield place, packing.items[name]
+        names = [name for name in packing.on[place] if name in unasked]
+        if names:
+            names = list_sufficient(packing, item, place, names)
+        conflicts = list_conflicts(packing, item, place) if names and item.limits else ()
+        for name in names:
+            if not conflicts or solves([name], conflicts):
+                yield place, packing.items[name]
 
 
 def _shift(packing: Packing, chain: Sequence[_Link], last: _Link, goal: int) -> bool:

@@ -33,7 +33,7 @@ class ClassDemands:
 
     def __init__(self, stated: Demand, known: Mapping[str, MeasuredDemand]) -> None:
         self.stated, self.known = stated, known
-        self._follows = all(quantity is None for quantity in stated.values())
+        self._follows = not any(stated.values())  # of None and quantities, none of which is false
         self._made: dict[str | None, Demand] = {}
 
     def at(self, kind: str) -> Demand:
@@ -58,17 +58,10 @@ class ClassDemands:
         """The demands on all classes, those without history too."""
         return [*map(self.at, self.known), self.elsewhere]
 
-    def list_amounts(self, kinds: Iterable[str], resource: str) -> list[tuple[float, bool]]:
-        """By class of ``kinds``, the amount of ``resource`` and whether it is a share."""
-        found = []
-        for kind in kinds:
-            value = self.get_measured(kind).get(resource)
-            if value is None:
-                quantity = self.at(kind)[resource] or ZERO
-                found.append((quantity.value, quantity.relative))
-            else:
-                found.append((value, False))
-        return found
+    def list_quantities(self, kind: str, resources: Iterable[str]) -> list[Quantity]:
+        """The demand of each of ``resources`` on hosts of class ``kind``."""
+        demand = self.at(kind)
+        return [demand[resource] or ZERO for resource in resources]
 
     def get_measured(self, kind: str) -> Mapping[str, float]:
         """The amounts by resource that are as measured on hosts of class ``kind``, where all of them are."""
@@ -78,6 +71,8 @@ class ClassDemands:
     def find_least(self, resource: str, capacity: float) -> float:
         """The least that the demand means on a host with ``capacity`` of ``resource``, whatever its class."""
         values = [found.used[resource] for found in self.known.values() if resource in found.used]
+        if not values:
+            return (self.stated[resource] or ZERO).of(capacity)  # as on every class
         if self._follows and len(values) == len(self.known):
             return min(values)  # elsewhere the greatest counts
         return min((demand[resource] or ZERO).of(capacity) for demand in self.list_all())

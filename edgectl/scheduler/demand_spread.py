@@ -6,7 +6,7 @@ from math import inf
 
 from edgectl.model.assignment import DemandSpread
 from edgectl.model.demand import Quantity
-from edgectl.model.resource import HOST_RESOURCES, Resource
+from edgectl.model.resource import HOST_RESOURCES, NETWORK, Resource
 from edgectl.model.task import Task, Tasks
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.feasibility import find_own_robot, find_rule_against
@@ -22,10 +22,8 @@ def find_demand_spreads(fleet: Capacities, tasks: Tasks) -> tuple[DemandSpread, 
     entries: dict[str, Task] = {}
     for name in sorted(tasks.tasks):
         task = tasks.tasks[name]
-        if task.managed and any(
-            (quantity := task.demand[resource.name]) is not None and quantity.relative
-            for resource in HOST_RESOURCES
-        ):
+        percent = [key for key, each in task.demand.items() if each is not None and each.relative]
+        if task.managed and percent not in ([], [NETWORK.name]):
             entries.setdefault(task.template, task)
     return tuple(found for task in entries.values() for found in _find_task_spreads(fleet, task))
 

@@ -4,7 +4,7 @@
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import combinations
 from math import comb
-from operator import ge, lt
+from operator import lt
 
 from edgectl.scheduler.chain_search import shift_chain
 from edgectl.scheduler.packing import (
@@ -28,19 +28,21 @@ SHAKES = 8
 
 
 def empty_pool(packing: Packing, item: Item, movable: Collection[str]) -> bool:
-    """Insert ``item``, and again and again those that were ejected for it, the hardest to place last."""
+    """Insert ``item``, which fits nowhere as it is, and again and again those that were ejected for it, the
+    hardest to place last.
+    """
     before = dict(packing.at), [row.copy() for row in packing.free], [names.copy() for names in packing.on]
     charged = dict(packing.charged)
     shaken = [name for name in packing.at if name in movable and _may_shake(packing, packing.items[name])]
     penalties: dict[str, int] = {}
     pool = [item]
-    for _ in range(MAX_STEPS):
+    for step in range(MAX_STEPS):
         if not pool:
             return True
         if packing.work <= 0:
             break
         current = pool.pop()
-        if insert_item(packing, current) or shift_chain(packing, current, movable, longest=POOL_CHAIN):
+        if step and _insert(packing, current, movable):
             continue
         penalties[current.name] = penalties.get(current.name, 1) + 1
         found = _find_ejection(packing, current, movable, penalties)
@@ -58,6 +60,10 @@ def empty_pool(packing: Packing, item: Item, movable: Collection[str]) -> bool:
     packing.at, packing.free, packing.on = before
     packing.charged = charged
     return False
+
+
+def _insert(packing: Packing, item: Item, movable: Collection[str]) -> bool:
+    return insert_item(packing, item) or shift_chain(packing, item, movable, longest=POOL_CHAIN)
 
 
 def _may_shake(packing: Packing, item: Item) -> bool:
@@ -131,19 +137,20 @@ def _list_ejected_names(
     are of more than ``most`` items.
     """
     packing.work -= 1
-    lacks, conflicts = list_lacks(packing, item, place), list_conflicts(packing, item, place)
+    lacks = list_lacks(packing, item, place)
+    conflicts = list_conflicts(packing, item, place) if item.limits else ()
     gains = [[packing.charged[name].get(column, 0.0) for name in others] for column, _ in lacks]
     needs = [need for _, need in lacks]
     if any(map(lt, map(sum, gains), needs)):
         return []
-    for count in range(1, MAX_EJECTED + 1):
+    for count in range(1, most + 1):
         packing.work -= comb(len(others), count)
         covers: Iterable[Sequence[str]] = _list_covers(others, gains, needs, count)
         if conflicts:
             covers = [names for names in covers if solves(names, conflicts)]
         found = list(covers)
         if found:
-            return found if count <= most else []
+            return found
     return []
 
 
@@ -153,7 +160,10 @@ def _list_covers(
     """All ``count`` of ``names`` whose ``gains``, by column, add up to ``needs``."""
     columns = list(zip(gains, needs, strict=True))
     if count == 1:
-        return [[name] for name, *gain in zip(names, *gains, strict=True) if all(map(ge, gain, needs))]
+        enough: Sequence[int] = range(len(names))
+        for gain, need in columns:
+            enough = [index for index in enough if gain[index] >= need]
+        return [[names[index]] for index in enough]
     if any(sum(sorted(column)[-count:]) < need - EPSILON for column, need in columns):
         return []  # not even the greatest
     found = []

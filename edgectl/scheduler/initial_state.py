@@ -196,6 +196,10 @@ def _add_task(builder: _InitialStateBuilder, task: Task, sightings: tuple[FoundI
 
     Reports that do not count (`claims`) decide nothing; a copy that they show is stopped.
     """
+    manager = builder.evidence.manager
+    if not sightings and task.name not in manager.placements and task.name not in manager.done:
+        _add_unknown_task(builder, task)  # as most tasks of a plan that starts a fleet
+        return
     reported, sightings = sightings, select_counted(builder.evidence, task, sightings)
     _release_usage(builder, (s for s in reported if s not in sightings), task)
     alive = [s for s in sightings if s.sample.state.alive]
@@ -244,9 +248,20 @@ def _add_task(builder: _InitialStateBuilder, task: Task, sightings: tuple[FoundI
         _add_absent_task(builder, task, sightings)
 
 
+def _add_unknown_task(builder: _InitialStateBuilder, task: Task) -> None:
+    """A task of which neither a host nor the record knows anything."""
+    if not task.managed:
+        _keep_unmanaged(builder, task, None)
+    elif (robot := find_unreachable_robot(builder.evidence, task)) is not None:
+        _hold_task(builder, task, None, Reason.ROBOT_SILENT, robot)
+    else:
+        _add_absent_task(builder, task, ())
+
+
 def _add_absent_task(builder: _InitialStateBuilder, task: Task, sightings: tuple[FoundInstance, ...]) -> None:
     """A task that no host shows alive: given up, held, or to be placed."""
-    if (ended := find_given_up_run(builder.evidence, task, sightings)) is not None:
+    ended = find_given_up_run(builder.evidence, task, sightings) if sightings else None
+    if ended is not None:
         builder.fixed[task.name] = _build_given_up_decision(
             task, ended, get_instance_host(builder.evidence, ended)
         )

@@ -3,25 +3,9 @@
 
 from dataclasses import replace
 
-from edgectl.dataclass import dataclass
 from edgectl.scheduler.chain_search import shift_chain
 from edgectl.scheduler.ejection_pool import empty_pool, list_ejections
 from edgectl.scheduler.packing import Item, Packing, has_budget, insert_item, may_leave
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Permission:
-    """Which items may make room for an item of ``priority``."""
-
-    priority: float
-    running: bool
-    above: bool = False
-
-    def allows(self, item: Item) -> bool:
-        """Whether ``item`` may be put elsewhere. No running item gives way to one of lower priority."""
-        if not item.movable or (item.runs and not self.running):
-            return False
-        return item.priority <= self.priority or (self.above and not item.runs)
 
 
 def place_item(packing: Packing, item: Item) -> bool:
@@ -33,7 +17,8 @@ def place_item(packing: Packing, item: Item) -> bool:
     if insert_item(packing, item):
         return True
     levels = _list_movable(packing, item)
-    if any(shift_chain(packing, item, movable, longest=1) for movable in levels):
+    # The shortest chain of the only level is the first that its search finds.
+    if len(levels) > 1 and any(shift_chain(packing, item, movable, longest=1) for movable in levels):
         return True
     if any(shift_chain(packing, item, movable) for movable in levels):
         return True
@@ -47,16 +32,20 @@ def place_item(packing: Packing, item: Item) -> bool:
 
 
 def _list_movable(packing: Packing, item: Item) -> list[frozenset[str]]:
-    """The items that may make room for ``item``, by level; only levels that allow more than those before."""
+    """The items that may make room for ``item``, by level; only levels that allow more than those before.
+
+    No running item gives way to one of lower priority.
+    """
+    others = [other for other in (*map(packing.items.__getitem__, packing.at), item) if other.movable]
+    ranked = [other for other in others if other.priority <= item.priority]
+    started = [other for other in others if not other.runs]
     levels = (
-        Permission(priority=item.priority, running=False),
-        Permission(priority=item.priority, running=True),
-        Permission(priority=item.priority, running=True, above=True),
+        frozenset([other.name for other in ranked if not other.runs]),
+        frozenset([other.name for other in ranked]),
+        frozenset([other.name for other in (*ranked, *started)]),
     )
-    others = [packing.items[name] for name in packing.at]
     found: list[frozenset[str]] = []
-    for level in levels:
-        names = frozenset(other.name for other in (*others, item) if level.allows(other))
+    for names in levels:
         if len(names) > (len(found[-1]) if found else 0):
             found.append(names)
     return found

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ledger of expected load (gamma): as measured, then kept up to date with every placement of the plan."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf
 from typing import TYPE_CHECKING
@@ -10,9 +10,9 @@ from edgectl.model.assignment import ExpectedLoad
 from edgectl.model.demand import ZERO, Quantity
 from edgectl.model.policy import Weights
 from edgectl.model.resource import CPU, HOST_RESOURCES, NETWORK, NOTHING, Usage
-from edgectl.model.snapshot import HostSample, TaskSample
+from edgectl.model.snapshot import HostSample, LinkSample, TaskSample
 from edgectl.model.task import Task
-from edgectl.scheduler.capacities import Capacities
+from edgectl.scheduler.capacities import Capacities, list_shown_links
 from edgectl.scheduler.demand import demand_at
 from edgectl.scheduler.task_usage import TaskUsage, take_greater
 
@@ -85,8 +85,9 @@ class Ledger:
             place for place, host in enumerate(fleet.places) if place < fleet.edges or host.onboard
         } | set(used)
         places = (place for place in hosts if fleet.usable[CPU.name][place] > 0)
+        rates = self._list_link_rates() or [{}] * fleet.edges
         return {
-            fleet.places[place].name: self._load(place)
+            fleet.places[place].name: self._load(place, rates[place] if place < fleet.edges else {})
             for place in sorted(places, key=fleet.order.__getitem__)
         }
 
@@ -109,14 +110,20 @@ class Ledger:
             if self.mirror is not None:
                 self.mirror.set_weighted(place, total)
 
-    def _load(self, place: int) -> ExpectedLoad:
-        linked = place < self.fleet.edges
-        links = {
-            robot: row[place]
-            for robot, row in self.links.items()
-            if linked and self.fleet.links[robot][place] is not None
-        }
-        return ExpectedLoad(used=Usage({name: row[place] for name, row in self.used.items()}), links=links)
+    def _load(self, place: int, rates: Mapping[str, float]) -> ExpectedLoad:
+        return ExpectedLoad(used=Usage({name: row[place] for name, row in self.used.items()}), links=rates)
+
+    def _list_link_rates(self) -> list[dict[str, float]]:
+        """Gamma of the links of each edge, by robot."""
+        fleet = self.fleet
+        robots, capacities = [*self.links], zip(*(fleet.links[robot] for robot in self.links), strict=True)
+        rates = [dict(zip(robots, column, strict=True)) for column in zip(*self.links.values(), strict=True)]
+        for found, row in zip(rates, capacities, strict=True):
+            if None in row:
+                for robot, capacity in zip(robots, row, strict=True):
+                    if capacity is None:
+                        del found[robot]
+        return rates
 
     def _set(self, place: int, name: str, amount: float) -> None:
         self.used[name][place] = amount
@@ -144,19 +151,14 @@ def compute_free_share(capacity: float | None, used: float) -> float:
 def build_measured_ledger(fleet: Capacities) -> Ledger:
     """Gamma as the profilers saw it."""
     used = {resource.name: _list_measured_usage(fleet, resource.name) for resource in HOST_RESOURCES}
-    links = {robot: _list_measured_link_rates(fleet, robot) for robot in fleet.links}
+    shown = list_shown_links(fleet.samples[: fleet.edges])
+    links = {robot: _list_measured_link_rates(shown, robot) for robot in fleet.links}
     return Ledger(
         fleet=fleet,
         used=used,
         links=links,
-        free={
-            name: [compute_free_share(*pair) for pair in zip(fleet.usable[name], row, strict=True)]
-            for name, row in used.items()
-        },
-        free_links={
-            robot: [compute_free_share(*pair) for pair in zip(fleet.links[robot], row, strict=True)]
-            for robot, row in links.items()
-        },
+        free={name: _compute_free_row(fleet.usable[name], row) for name, row in used.items()},
+        free_links={robot: _compute_free_row(fleet.links[robot], row) for robot, row in links.items()},
         tasks=[_count_tasks(sample) for sample in fleet.samples],
     )
 
@@ -176,10 +178,15 @@ def _list_measured_usage(fleet: Capacities, name: str) -> list[float]:
     ]
 
 
-def _list_measured_link_rates(fleet: Capacities, robot: str) -> list[float]:
-    samples = fleet.samples[: fleet.edges]
-    links = [None if sample is None else sample.links.get(robot) for sample in samples]
+def _list_measured_link_rates(shown: Sequence[Mapping[str, LinkSample]], robot: str) -> list[float]:
+    links = [each.get(robot) for each in shown]
     return [0.0 if link is None else link.used_bytes_per_s for link in links]
+
+
+def _compute_free_row(capacities: Sequence[float | None], used: Sequence[float]) -> list[float]:
+    """`compute_free_share` of each place; where nothing is used all is free, as nearly all links are."""
+    pairs = zip(capacities, used, strict=True)
+    return [1.0 if not load and capacity else compute_free_share(capacity, load) for capacity, load in pairs]
 
 
 def compute_demand_usage(fleet: Capacities, task: Task, place: int) -> TaskUsage:

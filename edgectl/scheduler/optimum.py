@@ -12,10 +12,11 @@ from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Certificate
 from edgectl.model.policy import Preference
 from edgectl.model.task import Task
-from edgectl.scheduler.decided_plan import DecidedPlan, build_search, rate_plan
+from edgectl.scheduler.decided_plan import DecidedPlan
 from edgectl.scheduler.integer_program import IntegerProgram, Solution, Solver
 from edgectl.scheduler.ledger import NO_FREE_SHARE
 from edgectl.scheduler.move_cost import HandoffHistory
+from edgectl.scheduler.packed_plan import build_search
 from edgectl.scheduler.packing import Item, Packing, Shares
 from edgectl.scheduler.placement_model import (
     bound_alone,
@@ -27,6 +28,7 @@ from edgectl.scheduler.placement_model import (
 )
 from edgectl.scheduler.placement_problem import PlacementItem, PlacementModel, PlacementProblem, Requirements
 from edgectl.scheduler.placement_rules import NO_RULES, list_breaches
+from edgectl.scheduler.rebalanced_plan import rate_plan
 from edgectl.scheduler.slack_links import drop_slack_links
 from edgectl.scheduler.stability_rows import Departure, add_stability_rows, list_departures
 from edgectl.scheduler.utility import EPSILON

@@ -16,6 +16,8 @@ from edgectl.scheduler.utility import EPSILON
 
 # Share of the capacity by column.
 Shares = Mapping[int, float]
+# The same of all places: by column, a row of one number for each place.
+ShareColumns = Sequence[tuple[int, Sequence[float]]]
 # What must be left of a column: 0, but for rounding.
 _LEAST_LEFT = -EPSILON
 
@@ -23,17 +25,29 @@ _LEAST_LEFT = -EPSILON
 class ShareTable(dict[int, Shares]):
     """The shares of a task by place, each measured when it is first read.
 
-    A dict, because a search reads them thousands of times.
+    A dict, because a search reads them thousands of times. ``list_columns`` has them by column, without
+    columns of which nothing can be lacking; None where they are not known of all places at once.
     """
 
-    __slots__ = ("measure",)
+    __slots__ = ("_columns", "_list_columns", "_measure")
 
-    def __init__(self, measure: Callable[[int], Shares]) -> None:
-        self.measure = measure
+    def __init__(
+        self, measure: Callable[[int], Shares], list_columns: Callable[[], ShareColumns | None] | None = None
+    ) -> None:
+        self._measure = measure
+        self._list_columns = list_columns
+        self._columns: ShareColumns | None = None
 
     def __missing__(self, place: int) -> Shares:
-        found = self[place] = self.measure(place)
+        found = self[place] = self._measure(place)
         return found
+
+    @property
+    def columns(self) -> ShareColumns | None:
+        """What ``list_columns`` gives, asked for once."""
+        if self._list_columns is not None:
+            self._columns, self._list_columns = self._list_columns(), None
+        return self._columns
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +62,7 @@ class Item:
     name: str
     tasks: tuple[str, ...]
     places: Sequence[int]
-    shares: Mapping[int, Shares]
+    shares: ShareTable
     priority: float = 0.0
     runs: bool = False
     movable: bool = True
@@ -134,24 +148,35 @@ class Packing:
 def find_place(packing: Packing, item: Item, besides: Collection[int] = ()) -> int | None:
     """Where the most is left (``tight``: the least), of what will be scarcest there; None: nowhere."""
     best, most = None, -inf
-    free, shares = packing.free, item.shares
-    for place in item.places:
-        if place in besides:
-            continue
-        packing.work -= 1
-        row = free[place]
-        for column, share in shares[place].items():
-            if row[column] - share < _LEAST_LEFT:
-                break
-        else:
-            value = _value_place(packing, item, place)
-            if value > most and not (item.limits and list_conflicts(packing, item, place)):
-                best, most = place, value
+    for place in _list_roomy_places(packing, item, besides):
+        value = _value_place(packing, item, place)
+        if value > most and not (item.limits and list_conflicts(packing, item, place)):
+            best, most = place, value
     return best
 
 
+def _list_roomy_places(packing: Packing, item: Item, besides: Collection[int]) -> Sequence[int]:
+    """The places of ``item`` where it has room, in order."""
+    free, columns = packing.free, item.shares.columns
+    places = [place for place in item.places if place not in besides] if besides else item.places
+    packing.work -= len(places)
+    if columns is None:
+        return [place for place in places if _has_room(free[place], item.shares[place])]
+    for column, shares in columns:
+        places = [place for place in places if free[place][column] - shares[place] >= _LEAST_LEFT]
+        if not places:
+            break
+    return places
+
+
+def _has_room(row: Sequence[float], shares: Shares) -> bool:
+    return all(row[column] - share >= _LEAST_LEFT for column, share in shares.items())
+
+
 def _value_place(packing: Packing, item: Item, place: int) -> float:
-    row = packing.free[place]
+    row, columns = packing.free[place], item.shares.columns
+    if columns is not None and not packing.tight:
+        return min([row[column] - shares[place] for column, shares in columns])
     left = [row[column] - share for column, share in item.shares[place].items()]
     if not packing.tight:
         return min(left, default=inf)
@@ -172,21 +197,47 @@ def insert_item(packing: Packing, item: Item) -> bool:
 def fits(packing: Packing, item: Item, place: int) -> bool:
     """Whether ``item`` has room at ``place``, and may be beside what is there."""
     packing.work -= 1
-    row = packing.free[place]
-    for column, share in item.shares[place].items():
-        if row[column] - share < _LEAST_LEFT:
+    row, columns = packing.free[place], item.shares.columns
+    if columns is None:
+        if not _has_room(row, item.shares[place]):
             return False
+    else:
+        for column, shares in columns:
+            if row[column] - shares[place] < _LEAST_LEFT:
+                return False
     return not item.limits or not list_conflicts(packing, item, place)
 
 
 def list_lacks(packing: Packing, item: Item, place: int) -> list[tuple[int, float]]:
     """The columns in which ``item`` has no room at ``place``, and the least that must be released there."""
-    row = packing.free[place]
+    row, columns = packing.free[place], item.shares.columns
+    if columns is None:
+        pairs = item.shares[place].items()
+        return [
+            (column, lack - EPSILON) for column, share in pairs if (lack := share - row[column]) > EPSILON
+        ]
     return [
         (column, lack - EPSILON)
-        for column, share in item.shares[place].items()
-        if (lack := share - row[column]) > EPSILON
+        for column, shares in columns
+        if (lack := shares[place] - row[column]) > EPSILON
     ]
+
+
+def list_sufficient(packing: Packing, item: Item, place: int, names: list[str]) -> list[str]:
+    """Those of ``names``, which are at ``place``, of which each alone makes room there for ``item``."""
+    charged, row, columns = packing.charged, packing.free[place], item.shares.columns
+    if columns is None:
+        for column, need in list_lacks(packing, item, place):
+            names = [name for name in names if charged[name].get(column, 0.0) >= need]
+        return names
+    for column, shares in columns:
+        lack = shares[place] - row[column]
+        if lack > EPSILON:  # written out, because chains ask it most of all
+            need = lack - EPSILON
+            names = [name for name in names if charged[name].get(column, 0.0) >= need]
+            if not names:
+                break
+    return names
 
 
 def list_conflicts(packing: Packing, item: Item, place: int) -> list[tuple[int, frozenset[str]]]:

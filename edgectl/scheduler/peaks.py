@@ -4,13 +4,15 @@
 A pass that repeats a plan asks this for every task, and nearly always the answer is yes.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from edgectl.model.policy import Preference
+from edgectl.model.policy import Preference, Weights
 from edgectl.model.resource import AFFINITY, LATENCY, NETWORK, RATING
-from edgectl.scheduler.candidates import CandidateSet, terms_at
+from edgectl.model.task import Task
+from edgectl.scheduler.candidates import AssignmentContext, CandidateSet, get_edge_rejections, terms_at
 from edgectl.scheduler.latency import is_latency_weighed
-from edgectl.scheduler.ledger import NO_FREE_SHARE
+from edgectl.scheduler.ledger import NO_FREE_SHARE, Ledger
 from edgectl.scheduler.utility import compute_affinity
 
 
@@ -27,6 +29,46 @@ class LoadPeaks:
     valid: bool = True
 
 
+def stays_by_room(
+    context: AssignmentContext,
+    ledger: Ledger,
+    task: Task,
+    here: int,
+    located: Sequence[int],
+    peaks: LoadPeaks,
+) -> bool:
+    """`stays_in_place` of a task at the edge ``here`` beside all its predecessors (``located``), if any:
+    without candidates, because only room can then speak for another edge.
+    """
+    fleet, weights = context.fleet, context.policy.weights
+    if located.count(here) < len(located) or not _decides_by_room(context, task) or here >= fleet.edges:
+        return False
+    if context.rules.robot_of(fleet, task) is not None or here in get_edge_rejections(context, task):
+        return False
+    link = peak = 1.0
+    for robot in task.robots:
+        row = ledger.free_links.get(robot)
+        if row is None:
+            return False
+        link, peak = min(link, row[here]), min(peak, _find_link_peak(ledger, peaks, robot))
+    if link < 0.0 or min([ledger.free[name][here] for name in fleet.counted]) < 0.0:
+        return False
+    gain = _find_weighted_peak(ledger, peaks, weights) - ledger.weigh_free(weights)[here]
+    return gain + weights[NETWORK.name] * (peak - link) <= context.policy.move_margin
+
+
+def _decides_by_room(context: AssignmentContext, task: Task) -> bool:
+    """Whether room and predecessors alone decide where ``task`` goes, and the margin whether it moves."""
+    policy = context.policy
+    return (
+        policy.prefer is not Preference.PACK  # there a demand raises the total
+        and task.name not in context.handoffs.downtimes
+        and policy.weights[LATENCY] == 0.0
+        and policy.weights[RATING] == 0.0
+        and not is_latency_weighed(policy, task)
+    )
+
+
 def stays_in_place(candidates: CandidateSet, peaks: LoadPeaks) -> bool:
     """Whether the task is certain to stay by policy utility: its host is feasible, and no other total can be
     greater by more than ``move_margin``.
@@ -37,13 +79,9 @@ def stays_in_place(candidates: CandidateSet, peaks: LoadPeaks) -> bool:
     here, context = candidates.incumbent, candidates.context
     if (
         not peaks.valid
-        or context.policy.prefer is Preference.PACK  # there a demand raises the total
         or here is None
         or here in candidates.denied
-        or candidates.task.name in context.handoffs.downtimes
-        or context.policy.weights[LATENCY] != 0.0
-        or context.policy.weights[RATING] != 0.0
-        or is_latency_weighed(context.policy, candidates.task)
+        or not _decides_by_room(context, candidates.task)
     ):
         return False
     total = _compute_present_total(candidates, here)
@@ -71,11 +109,11 @@ def _bound_best_total(candidates: CandidateSet, peaks: LoadPeaks, here: int) -> 
     context, ledger = candidates.context, candidates.ledger
     weights, edges = context.policy.weights, context.fleet.edges
     free = ledger.weigh_free(weights)
-    if peaks.weighted is None:
-        peaks.weighted = max(free[:edges], default=NO_FREE_SHARE)
     far = candidates.utilities.get(-len(candidates.located), 0.0)
-    links = min([_find_link_peak(candidates, peaks, robot) for robot in candidates.task.robots], default=1.0)
-    bounds = [peaks.weighted + weights[NETWORK.name] * links + weights[AFFINITY] * far]
+    links = min([_find_link_peak(ledger, peaks, robot) for robot in candidates.task.robots], default=1.0)
+    bounds = [
+        _find_weighted_peak(ledger, peaks, weights) + weights[NETWORK.name] * links + weights[AFFINITY] * far
+    ]
     for place in {*candidates.located} - {here}:
         if place < edges and place not in candidates.denied:
             utility = candidates.utilities[compute_affinity(candidates.located, place)]
@@ -89,9 +127,15 @@ def _bound_best_total(candidates: CandidateSet, peaks: LoadPeaks, here: int) -> 
     return max(bounds)
 
 
-def _find_link_peak(candidates: CandidateSet, peaks: LoadPeaks, robot: str) -> float:
+def _find_weighted_peak(ledger: Ledger, peaks: LoadPeaks, weights: Weights) -> float:
+    if peaks.weighted is None:
+        peaks.weighted = max(ledger.weigh_free(weights)[: ledger.fleet.edges], default=NO_FREE_SHARE)
+    return peaks.weighted
+
+
+def _find_link_peak(ledger: Ledger, peaks: LoadPeaks, robot: str) -> float:
     peak = peaks.links.get(robot)
     if peak is None:
-        peak = max(candidates.ledger.free_links.get(robot, ()), default=NO_FREE_SHARE)
+        peak = max(ledger.free_links.get(robot, ()), default=NO_FREE_SHARE)
         peaks.links[robot] = peak
     return peak

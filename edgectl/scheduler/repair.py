@@ -7,17 +7,13 @@ from edgectl.model.task import Task
 from edgectl.scheduler.choice import Choice
 from edgectl.scheduler.decided_plan import (
     DecidedPlan,
-    PlaceSorter,
     build_choices,
-    build_item,
-    build_packing,
-    build_place_sorter,
     find_located,
-    list_link_columns,
     list_wanted,
 )
 from edgectl.scheduler.insertion import extend_item, place_item, preempt_for_item
 from edgectl.scheduler.ledger import compute_demand_usage
+from edgectl.scheduler.packed_plan import PlanFrame, build_item, build_packing, build_plan_frame
 from edgectl.scheduler.packing import Item, Packing, combine_items, restore_homes
 from edgectl.scheduler.sequence import is_need_met
 from edgectl.scheduler.utility import EPSILON
@@ -35,8 +31,9 @@ def repair_plan(plan: DecidedPlan) -> dict[str, Choice]:
     wanted = list_wanted(plan)
     if not wanted:
         return {}
-    leaders, sort_places = _choose_leaders(plan), build_place_sorter(plan)
-    packing = build_packing(plan, sort_places, leaders)
+    leaders = _choose_leaders(plan)
+    frame = build_plan_frame(plan, leaders)
+    packing = build_packing(frame)
     work = MAX_WORK
     causes: dict[str, str] = {}
     bounded = _has_absolute_demands(plan)
@@ -49,7 +46,7 @@ def repair_plan(plan: DecidedPlan) -> dict[str, Choice]:
         packing.work = share = min(work, max(MIN_WORK, work // (len(wanted) - index % len(wanted))))
         before = dict(packing.at)
         possible = not bounded or all(_has_room_in_sum(plan, packing, each) for each in joining)
-        item = _build_joint_item(plan, joining, sort_places, leaders, packing)
+        item = _build_joint_item(frame, joining, packing)
         if _place_joint_item(packing, item, possible=possible, preempt=any(each.preempt for each in joining)):
             located.update(each.name for each in joining)
             causes |= {name: task.name for name, place in before.items() if packing.at.get(name) != place}
@@ -98,17 +95,10 @@ def _list_joining(
     return joining if task in joining and len(joining) == len(unit) else []
 
 
-def _build_joint_item(
-    plan: DecidedPlan,
-    joining: Sequence[Task],
-    sort_places: PlaceSorter,
-    leaders: Mapping[str, str],
-    packing: Packing,
-) -> Item:
+def _build_joint_item(frame: PlanFrame, joining: Sequence[Task], packing: Packing) -> Item:
     """One item of tasks that get a place together, and of what is in place of their unit."""
-    columns = list_link_columns(plan)
-    items = [build_item(plan, columns, task, sort_places, leaders) for task in joining]
-    name = leaders.get(joining[0].name, joining[0].name)
+    items = [build_item(frame, task) for task in joining]
+    name = frame.leaders.get(joining[0].name, joining[0].name)
     if name in packing.at:
         items.insert(0, packing.items[name])
     return combine_items(name, items)
@@ -126,7 +116,9 @@ def _has_room_in_sum(plan: DecidedPlan, packing: Packing, task: Task) -> bool:
     fleet = plan.context.fleet
     demand = compute_demand_usage(fleet, task, 0).used
     for column, (name, amount) in enumerate(demand.items()):
-        free = (max(0.0, row[column]) * fleet.usable[name][place] for place, row in enumerate(packing.free))
-        if amount > sum(free) * (1 + EPSILON):
-            return False
+        if amount:
+            usable = fleet.usable[name]
+            free = sum([max(0.0, row[column]) * usable[place] for place, row in enumerate(packing.free)])
+            if amount > free * (1 + EPSILON):
+                return False
     return True

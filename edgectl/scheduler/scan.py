@@ -97,10 +97,11 @@ class DemandShares:
         if task.name in self.fleet.demands:
             groups = self._group_hosts()
             return groups.expand(self._list_measured_shares(task, resource, groups))
-        key = resource, _build_key(task, resource)
+        quantity = task.demand[resource] or ZERO
+        key = resource, quantity.value, quantity.relative
         row = self.rows.get(key)
         if row is None:
-            quantity, raw = task.demand[resource] or ZERO, self.fleet.raw[resource]
+            raw = self.fleet.raw[resource]
             amounts = [quantity.of(capacity) for capacity in raw[: self.fleet.edges]]
             row = _build_share_row(amounts, self.fleet.usable[resource])
             self._keep(self.rows, key, row)
@@ -138,7 +139,7 @@ class DemandShares:
                 name: self._list_measured_shares(task, name, groups) for name in _HOST_NAMES if weights[name]
             }
             return groups.expand(_add_weighted(shares, weights, len(groups.first)))
-        key = _build_key(task, *_HOST_NAMES)
+        key = tuple([task.demand[name] for name in _HOST_NAMES])
         row = self.weighted.get(key)
         if row is None:
             row = self._add_weighted(task, weights)
@@ -161,10 +162,11 @@ class DemandShares:
         """Rho / Delta of every edge's link to ``robot``."""
         if task.name in self.fleet.demands:
             return self._build_measured_link_row(task, robot)
-        key = robot, _build_key(task, NETWORK.name)
+        quantity = task.demand[NETWORK.name] or ZERO
+        key = robot, quantity.value, quantity.relative
         row = self.links.get(key)
         if row is None:
-            row = self._build_link_row(task.demand[NETWORK.name] or ZERO, robot)
+            row = self._build_link_row(quantity, robot)
             self._keep(self.links, key, row)
         return row
 
@@ -205,11 +207,6 @@ class DemandShares:
 def build_demand_shares(fleet: Capacities) -> DemandShares:
     """Empty shares of ``fleet``."""
     return DemandShares(fleet=fleet, ones=[1.0] * fleet.edges, zeros=[0.0] * fleet.edges)
-
-
-def _build_key(task: Task, *resources: str) -> object:
-    """Equal where the stated rho of ``resources`` is."""
-    return tuple([task.demand[name] for name in resources])
 
 
 def _divide(amount: float, capacity: float | None) -> float:

@@ -27,17 +27,18 @@ def order_tasks(tasks: Iterable[Task], rule: SequenceRule) -> tuple[Task, ...]:
     for name, needs in waiting.items():
         for need in needs:
             successors[need].append(name)
-    key = _SORT_KEYS[rule]
-    eligible = [(key(by_name[name]), name) for name, needs in waiting.items() if not needs]
+    ranked = sorted(by_name.values(), key=_SORT_KEYS[rule])
+    ranks = {task.name: rank for rank, task in enumerate(ranked)}
+    eligible = [ranks[name] for name, needs in waiting.items() if not needs]
     heapq.heapify(eligible)
     ordered = []
     while eligible:
-        _, name = heapq.heappop(eligible)
-        ordered.append(by_name[name])
-        for successor in successors[name]:
-            waiting[successor].discard(name)
+        task = ranked[heapq.heappop(eligible)]
+        ordered.append(task)
+        for successor in successors[task.name]:
+            waiting[successor].discard(task.name)
             if not waiting[successor]:
-                heapq.heappush(eligible, (key(by_name[successor]), successor))
+                heapq.heappush(eligible, ranks[successor])
     if len(ordered) < len(by_name):
         stuck = sorted((name for name, needs in waiting.items() if needs), key=natural_key)
         raise ValueError(f"needs form a cycle among {', '.join(stuck)}")

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Passes until a plan stands: repetition, groups, room made for tasks, and better plans on request."""
+"""Passes until a plan stands: repetition, groups, room made for tasks, and better plans on request.
+
+Most plans need none of the searches, so each is imported where one is made.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -7,23 +10,20 @@ from typing import NamedTuple
 
 from edgectl.model.assignment import Decision, Verdict
 from edgectl.scheduler.choice import Choice
-from edgectl.scheduler.decided_plan import DecidedPlan, rate_plan, rebalance_plan
+from edgectl.scheduler.decided_plan import DecidedPlan
 from edgectl.scheduler.groups import MAX_ROUNDS, withhold_incomplete_groups
 from edgectl.scheduler.initial_state import InitialState
 from edgectl.scheduler.latency import count_missed_deadlines
 from edgectl.scheduler.ledger import compute_demand_usage
-from edgectl.scheduler.optimum import breaks_no_more_rules, is_overload_kept, value_plan
-from edgectl.scheduler.placement_rules import NO_RULES, build_placement_rules
-from edgectl.scheduler.repair import repair_plan
-from edgectl.scheduler.single_pass import (
+from edgectl.scheduler.pass_state import (
     PassResult,
     PlacementPass,
     collect_prior_moves,
     count_moves_left,
-    repeats_at_a_glance,
-    run_pass,
     state_from_pass,
 )
+from edgectl.scheduler.placement_rules import NO_RULES, build_placement_rules
+from edgectl.scheduler.single_pass import repeats_at_a_glance, run_pass
 
 # Passes that are tried before a plan counts as one that does not settle (ADR 0010).
 MAX_PASSES = 5
@@ -88,6 +88,8 @@ def _run_until_settled(how: PlacementPass, *, optimal: bool) -> tuple[SettledPla
     plain = _settle(how, how.initial, {})
     found = _make_room(how, plain)
     if optimal:
+        from edgectl.scheduler.rebalanced_plan import rebalance_plan
+
         known = build_decided_plan(how, found)
         changed = rebalance_plan(known, started_only=True)
         return plain, take_better(how, build_decided_plan(how, plain), found, changed)
@@ -98,6 +100,10 @@ def _run_until_settled(how: PlacementPass, *, optimal: bool) -> tuple[SettledPla
 
 def _make_room(how: PlacementPass, plain: SettledPlan) -> SettledPlan:
     """The plan with room made for tasks that found none (ADR 64)."""
+    if None not in plain.outcome.places.values():
+        return plain
+    from edgectl.scheduler.repair import repair_plan
+
     changed = repair_plan(build_decided_plan(how, plain))
     found = _settle_changed(how, plain, changed) if changed else plain
     return found if _keeps_deadlines(how, found, plain) else plain
@@ -113,6 +119,8 @@ def _keeps_deadlines(how: PlacementPass, found: SettledPlan, known: SettledPlan)
 
 def _rebalance(how: PlacementPass, found: SettledPlan) -> SettledPlan:
     """A settled plan with a greater sum of utilities and as many tasks placed, else the same one (ADR 66)."""
+    from edgectl.scheduler.rebalanced_plan import rate_plan, rebalance_plan
+
     before = build_decided_plan(how, found)
     changed = rebalance_plan(before)
     if not changed:
@@ -132,6 +140,8 @@ def take_better(
     """
     if not changed:
         return best
+    from edgectl.scheduler.optimum import breaks_no_more_rules, is_overload_kept, value_plan
+
     other = _settle_changed(how, best, changed)
     plan, known = build_decided_plan(how, other), build_decided_plan(how, best)
     better = other.settled and value_plan(plan, origin).is_better_than(value_plan(known, origin))

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Shortage: what a fleet lacks, whatever the placement (ADR 0062). Pure."""
 
-from math import fsum
+from collections.abc import Sequence
+from math import fsum, inf
 
 from edgectl.model.assignment import Shortage
-from edgectl.model.demand import ZERO
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
@@ -48,9 +48,11 @@ def compute_shortages(state: InitialState, tasks: Tasks) -> tuple[Shortage, ...]
     for resource in HOST_RESOURCES if edges else ():
         # fsum: a sum that is rounded once does not depend on the order of the files.
         capacity = fsum(fleet.usable[resource.name][edge] for edge in edges)
+        if capacity == inf:
+            continue
         load = fsum(state.ledger.used[resource.name][edge] for edge in edges)
         smallest = min(fleet.raw[resource.name][edge] for edge in edges)
-        wanted = fsum(_compute_least_demand(fleet, task, resource, smallest) for task in waiting)
+        wanted = fsum(_list_least_demands(fleet, waiting, resource, smallest))
         amount = load + wanted - capacity
         slack = fsum(fleet.get_slack(resource, edge) * fleet.usable[resource.name][edge] for edge in edges)
         if amount > (EPSILON if wanted else slack):
@@ -63,9 +65,13 @@ def _may_run_onboard(fleet: Capacities, task: Task) -> bool:
     return own is not None and fleet.places[own].onboard and task.onboard is not OnboardRule.NEVER
 
 
-def _compute_least_demand(fleet: Capacities, task: Task, resource: Resource, smallest: float) -> float:
-    """The least that the demand can mean on any edge; a share: on one of the ``smallest`` capacity."""
-    known = fleet.demands.get(task.name)
-    if known is not None:
-        return known.find_least(resource.name, smallest)
-    return (task.demand[resource.name] or ZERO).of(smallest)
+def _list_least_demands(
+    fleet: Capacities, tasks: Sequence[Task], resource: Resource, smallest: float
+) -> list[float]:
+    """The least that each demand can mean on any edge, as far as it is stated; a share: on one of the
+    ``smallest`` capacity.
+    """
+    name, known = resource.name, fleet.demands
+    stated = [task.demand[name] for task in tasks if task.name not in known]
+    found = [quantity.of(smallest) for quantity in stated if quantity is not None]
+    return found + [known[task.name].find_least(name, smallest) for task in tasks if task.name in known]

@@ -1,18 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """One pass over the sequence: each task is weighed on all places and put on the best one."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import field, replace
+from collections.abc import Mapping
 from functools import lru_cache, partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
-from edgectl.dataclass import dataclass
-from edgectl.model.assignment import Decision, Reason, Rejection, Verdict
+from edgectl.model.assignment import Reason, Rejection, Verdict
 from edgectl.model.task import Task
 from edgectl.scheduler.activation import prefer_standby
 from edgectl.scheduler.candidates import (
-    AssignmentContext,
     CandidateSet,
     gather_candidates,
     usage_at,
@@ -29,74 +25,22 @@ from edgectl.scheduler.decisions import (
 )
 from edgectl.scheduler.initial_state import InitialState, RunningTask
 from edgectl.scheduler.lazy_ranking import LoadChange, LoadHistory, RankingRequest
-from edgectl.scheduler.ledger import Ledger
-from edgectl.scheduler.peaks import LoadPeaks, stays_in_place
+from edgectl.scheduler.pass_state import (
+    PassResult,
+    PassState,
+    PlacementPass,
+    change_reservation,
+    charge_demand,
+    count_moves_left,
+    find_predecessors,
+    find_running_place,
+)
+from edgectl.scheduler.peaks import stays_by_room, stays_in_place
 from edgectl.scheduler.placement_rules import NO_RULES
-from edgectl.scheduler.policies import SchedulingPolicy
 from edgectl.scheduler.sequence import is_need_met
-from edgectl.scheduler.task_usage import TaskUsage
-
-if TYPE_CHECKING:  # imported only for very large fleets
-    from edgectl.scheduler.array_start import Starter
 
 # Of a task that starts, and that no rule joins with others.
 _NO_CONSTRAINTS, _NONE_BARRED = MoveConstraints(), MappingProxyType[int, Rejection]({})
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PassResult:
-    """Result of one pass: the choice and place of each task that it decides, with its load (d), and gamma
-    afterwards.
-    """
-
-    choices: Mapping[str, Choice]
-    placed: Mapping[str, tuple[int, TaskUsage]]
-    ledger: Ledger
-    decisions: tuple[Decision, ...] = ()
-
-    @property
-    def places(self) -> dict[str, int | None]:
-        """The place of each task, None where unplaced: what a repetition must not change."""
-        return {name: choice.place for name, choice in self.choices.items()}
-
-
-@dataclass(slots=True, kw_only=True)
-class _PassState:
-    """State of a pass under way. ``history``: its changes of gamma, where rankings are asked for.
-
-    ``open``: the tasks that it decides, where rules between tasks need them. ``reserved``: room kept for
-    tasks that will share the host of another. ``start``: of tasks that arrays decide (ADR 147).
-    """
-
-    ledger: Ledger
-    history: LoadHistory | None
-    peaks: LoadPeaks = field(default_factory=LoadPeaks)
-    located: dict[str, int]
-    open: Mapping[str, Task]
-    placed: dict[int, int] = field(default_factory=dict)
-    uses: dict[str, tuple[int, TaskUsage]] = field(default_factory=dict)
-    reserved: dict[str, tuple[int, TaskUsage]] = field(default_factory=dict)
-    choices: dict[str, Choice] = field(default_factory=dict)
-    decisions: list[Decision] = field(default_factory=list)
-    moves_left: int | None = None
-    start: "Starter | None" = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlacementPass:
-    """One way over the sequence.
-
-    ``initial``: the state before the plan, by which moves are counted and recorded. ``record``: keep the
-    decisions; ``explain``: with their numbers and rankings.
-    """
-
-    context: AssignmentContext
-    order: Sequence[Task]
-    rules: SchedulingPolicy
-    initial: InitialState
-    voluntary: bool = True
-    record: bool = False
-    explain: bool = True
 
 
 def run_pass(how: PlacementPass, state: InitialState, prior_moves: Mapping[str, Choice]) -> PassResult:
@@ -104,7 +48,7 @@ def run_pass(how: PlacementPass, state: InitialState, prior_moves: Mapping[str, 
 
     ``prior_moves``: moves that earlier passes of this plan have made.
     """
-    progress = _PassState(
+    progress = PassState(
         ledger=state.ledger.copy(),
         history=LoadHistory(start=state.ledger) if how.record and how.explain else None,
         located=dict(state.located),
@@ -140,7 +84,7 @@ def repeats_at_a_glance(how: PlacementPass, state: InitialState, outcome: PassRe
     places = {name: choice.place for name, choice in outcome.choices.items() if choice.place is not None}
     if len(places) < len(outcome.choices):
         return False
-    progress = _PassState(ledger=outcome.ledger, history=None, located={**state.located, **places}, open={})
+    progress = PassState(ledger=outcome.ledger, history=None, located={**state.located, **places}, open={})
     return all(
         _stays_at_a_glance(how, state, progress, task, places[task.name])
         for task in how.order
@@ -148,60 +92,11 @@ def repeats_at_a_glance(how: PlacementPass, state: InitialState, outcome: PassRe
     )
 
 
-def state_from_pass(state: InitialState, outcome: PassResult, initial: InitialState) -> InitialState:
-    """The expected outcome as a state: each placed task runs where it was put and uses its d."""
-    running = {
-        name: _build_running_task(name, outcome, initial)
-        for name, choice in outcome.choices.items()
-        if choice.place is not None
-    }
-    unplaced = {name for name, choice in outcome.choices.items() if choice.place is None}
-    located = {name: place for name, place in state.located.items() if name not in unplaced}
-    located |= {name: there.place for name, there in running.items()}
-    return replace(state, ledger=outcome.ledger, running=running, located=located)
-
-
-def _build_running_task(name: str, outcome: PassResult, initial: InitialState) -> RunningTask:
-    place, use = outcome.placed[name]
-    before = initial.running.get(name)
-    return RunningTask(
-        place=place, use=use, since=before.since if before is not None and before.place == place else None
-    )
-
-
-def collect_prior_moves(
-    outcome: PassResult, prior_moves: Mapping[str, Choice], initial: InitialState
-) -> dict[str, Choice]:
-    """The choices that moved tasks away from their initial places, by task."""
-    moves = {
-        **prior_moves,
-        **{
-            name: choice
-            for name, choice in outcome.choices.items()
-            if choice.verdict is Verdict.PLACED or choice.reason is Reason.PREEMPTED
-        },
-    }
-    return {name: choice for name, choice in moves.items() if choice.place != _find_place(initial, name)}
-
-
-def _find_place(state: InitialState, name: str) -> int | None:
-    running = state.running.get(name)
-    return running.place if running is not None else None
-
-
-def count_moves_left(how: PlacementPass, prior_moves: Mapping[str, Choice]) -> int | None:
-    """How many more voluntary moves the policy allows after ``prior_moves``; None for any number."""
-    policy = how.context.policy
-    if policy.attended or policy.max_moves is None:
-        return None
-    return policy.max_moves - sum(choice.counted for choice in prior_moves.values())
-
-
 def _decide_task(
     how: PlacementPass,
     state: InitialState,
     prior_moves: Mapping[str, Choice],
-    progress: _PassState,
+    progress: PassState,
     task: Task,
 ) -> None:
     """One task: its reservation leaves gamma, every place is weighed, and d is charged where it is put."""
@@ -214,7 +109,7 @@ def _decide_task(
         _record_plainly(how, prior_moves, progress, task, choice)
         return
     if task.name in progress.reserved:
-        _change_reservation(progress, *progress.reserved.pop(task.name), is_charge=False)
+        change_reservation(progress, *progress.reserved.pop(task.name), is_charge=False)
     if running is not None and not how.rules.strict_paper:
         progress.ledger.release(running.place, running.use)
         if progress.history is not None:
@@ -224,7 +119,9 @@ def _decide_task(
     if missing is not None:
         reason = Reason.PREDECESSOR_INCOMPLETE if missing in progress.located else Reason.PREDECESSOR_MISSING
         choice = Choice(verdict=Verdict.UNPLACED, reason=reason, subject=missing)
-        told = rebase_on_initial(choice, _find_place(how.initial, task.name), prior_moves.get(task.name))
+        told = rebase_on_initial(
+            choice, find_running_place(how.initial, task.name), prior_moves.get(task.name)
+        )
         progress.decisions.append(
             explain_replacement(unplaced_decision(task, told), how.initial.replaced.get(task.name))
         )
@@ -235,7 +132,7 @@ def _decide_task(
         _record_plainly(how, prior_moves, progress, task, choice)
     progress.choices[task.name] = choice
     if candidates is not None and choice.place is not None:
-        _charge_demand(progress, task.name, choice.place, usage_at(candidates, choice.place))
+        charge_demand(progress, task.name, choice.place, usage_at(candidates, choice.place))
         _reserve_for_unit(how, state, progress, task, choice.place)
     else:
         progress.located.pop(task.name, None)  # it ran on a host that counts as gone
@@ -257,7 +154,7 @@ def _start_plainly(
     how: PlacementPass,
     state: InitialState,
     prior_moves: Mapping[str, Choice],
-    progress: _PassState,
+    progress: PassState,
     task: Task,
 ) -> bool:
     """Start ``task`` where the arrays alone decide; False, with nothing done, where they may not."""
@@ -266,46 +163,50 @@ def _start_plainly(
         return False
     if name in prior_moves or how.context.placement_rules.concern(name):
         return False
-    start = progress.start(task, _find_predecessors(how, state, progress, task))
+    start = progress.start(task, find_predecessors(how, state, progress, task))
     if start is None:
         return False
     choice = progress.choices[name] = _start_at(start.place)
     if start.decision is not None:
         progress.decisions.append(start.decision)
     _record_plainly(how, prior_moves, progress, task, choice)
-    _charge_demand(progress, name, start.place, start.use)
+    charge_demand(progress, name, start.place, start.use)
     return True
 
 
 def _record_plainly(
     how: PlacementPass,
     prior_moves: Mapping[str, Choice],
-    progress: _PassState,
+    progress: PassState,
     task: Task,
     choice: Choice,
 ) -> None:
     """Keep the decision without its numbers, if only the decision is asked for."""
     if how.record and not how.explain:
-        initial_place = _find_place(how.initial, task.name)
+        initial_place = find_running_place(how.initial, task.name)
         told = rebase_on_initial(choice, initial_place, prior_moves.get(task.name))
         decision = build_plain_decision(how.context.fleet, task, told, initial_place)
         progress.decisions.append(explain_replacement(decision, how.initial.replaced.get(task.name)))
 
 
 def _stays_at_a_glance(
-    how: PlacementPass, state: InitialState, progress: _PassState, task: Task, here: int
+    how: PlacementPass, state: InitialState, progress: PassState, task: Task, here: int
 ) -> bool:
     """Whether a pass that explains nothing may leave ``task`` where it is, without a look at every host."""
     if (how.record and how.explain) or not how.rules.settles or not progress.peaks.valid:
         return False
     if how.context.placement_rules.concern(task.name):
         return False
+    predecessors = find_predecessors(how, state, progress, task)
+    located = tuple(predecessors.values())
+    if stays_by_room(how.context, progress.ledger, task, here, located, progress.peaks):
+        return True
     candidates = gather_candidates(
         how.context,
         progress.ledger,
         task,
         incumbent=here,
-        predecessors=_find_predecessors(how, state, progress, task),
+        predecessors=predecessors,
         placed=progress.placed,
     )
     return stays_in_place(candidates, progress.peaks)
@@ -315,12 +216,12 @@ def _choose_place(
     how: PlacementPass,
     state: InitialState,
     prior_moves: Mapping[str, Choice],
-    progress: _PassState,
+    progress: PassState,
     task: Task,
 ) -> tuple[Choice, CandidateSet]:
     running = state.running.get(task.name)
     incumbent = running.place if running is not None else None
-    predecessors = _find_predecessors(how, state, progress, task)
+    predecessors = find_predecessors(how, state, progress, task)
     gather = partial(
         gather_candidates,
         how.context,
@@ -339,7 +240,7 @@ def _choose_place(
     else:
         candidates = weigh_candidates(gather())
     choice = how.rules.choose(candidates, _build_move_constraints(how, progress, task, running, company))
-    initial_place = _find_place(how.initial, task.name)
+    initial_place = find_running_place(how.initial, task.name)
     if initial_place is None and incumbent is not None and choice.verdict is Verdict.PLACED:
         # Another place than that of an earlier pass: the task runs nowhere yet, so nothing moves.
         choice = Choice(verdict=Verdict.PLACED, reason=Reason.BEST, place=choice.place)
@@ -367,17 +268,9 @@ def _choose_place(
     return choice, candidates
 
 
-def _find_predecessors(
-    how: PlacementPass, state: InitialState, progress: _PassState, task: Task
-) -> dict[str, int]:
-    """The places of those that ``task`` needs."""
-    known = state.located if how.rules.strict_paper else progress.located
-    return {need.task: known[need.task] for need in task.needs if need.task in known}
-
-
 def _build_move_constraints(
     how: PlacementPass,
-    progress: _PassState,
+    progress: PassState,
     task: Task,
     running: RunningTask | None,
     company: Company | None,
@@ -403,7 +296,7 @@ def _build_move_constraints(
 
 
 def _build_company(
-    how: PlacementPass, state: InitialState, progress: _PassState, task: Task
+    how: PlacementPass, state: InitialState, progress: PassState, task: Task
 ) -> Company | None:
     """The tasks that rules between tasks join ``task`` with; None: no rule concerns it."""
     if not how.context.placement_rules.concern(task.name):
@@ -419,30 +312,14 @@ def _build_company(
 
 
 def _reserve_for_unit(
-    how: PlacementPass, state: InitialState, progress: _PassState, task: Task, place: int
+    how: PlacementPass, state: InitialState, progress: PassState, task: Task, place: int
 ) -> None:
     """Keep the room that the tasks need which share this host and come later."""
     company = _build_company(how, state, progress, task)
     for mate, use in list_reservations(company, task.name, place) if company is not None else ():
         if mate not in progress.reserved:
-            _change_reservation(progress, place, use, is_charge=True)
+            change_reservation(progress, place, use, is_charge=True)
             progress.reserved[mate] = place, use
-
-
-def _change_reservation(progress: _PassState, place: int, use: TaskUsage, *, is_charge: bool) -> None:
-    (progress.ledger.charge if is_charge else progress.ledger.release)(place, use)
-    progress.peaks.valid = False
-    if progress.history is not None:
-        progress.history.changes.append(LoadChange(place, use, is_charge=is_charge, counts=False))
-
-
-def _charge_demand(progress: _PassState, name: str, place: int, use: TaskUsage) -> None:
-    progress.ledger.charge(place, use)
-    if progress.history is not None:
-        progress.history.changes.append(LoadChange(place, use, is_charge=True))
-    progress.uses[name] = (place, use)
-    progress.located[name] = place
-    progress.placed[place] = progress.placed.get(place, 0) + 1
 
 
 def _find_missing_predecessor(

@@ -8,7 +8,7 @@ from edgectl.model.standby_plan import StandbyAction, StandbyReason, StandbyStep
 from edgectl.scheduler.activation import is_usable
 from edgectl.scheduler.evidence import FoundInstance
 from edgectl.scheduler.ledger import Ledger
-from edgectl.scheduler.single_pass import PlacementPass
+from edgectl.scheduler.pass_state import PlacementPass
 from edgectl.scheduler.standbys import (
     StandbyCase,
     StandbyPlaces,

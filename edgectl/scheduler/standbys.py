@@ -33,9 +33,9 @@ from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.demand import demand_at
 from edgectl.scheduler.evidence import FoundInstance
 from edgectl.scheduler.ledger import Ledger, compute_free_share
+from edgectl.scheduler.pass_state import PassResult, PlacementPass
 from edgectl.scheduler.placement_rules import bar_by_limits
 from edgectl.scheduler.scan import is_feasible_total
-from edgectl.scheduler.single_pass import PassResult, PlacementPass
 from edgectl.scheduler.task_usage import TaskUsage
 from edgectl.scheduler.utility import EPSILON
 

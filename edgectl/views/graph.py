@@ -7,9 +7,9 @@ from edgectl.dataclass import dataclass
 from edgectl.formats.document import Document
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.task import Tasks
+from edgectl.views.notes import list_snapshot_notes
 from edgectl.views.output import ListView
 from edgectl.views.output_format import GRAPH_FORMATS
-from edgectl.views.notes import list_snapshot_notes
 from edgectl.views.plan_sections import format_utility
 
 UNPLACED_GROUP = "unplaced"

@@ -4,13 +4,15 @@
 from dataclasses import replace
 from random import Random
 
+import pytest
+
 from edgectl.formats.codec import encode
 from edgectl.model.assignment import Assignment, Verdict
 from edgectl.model.policy import Policy
 from edgectl.scheduler.candidates import CandidateSet, gather_candidates, weigh_candidates
 from edgectl.scheduler.choice import MoveConstraints, choose_by_utility
 from edgectl.scheduler.ledger import compute_demand_usage
-from edgectl.scheduler.peaks import LoadPeaks, stays_in_place
+from edgectl.scheduler.peaks import LoadPeaks, stays_by_room, stays_in_place
 from edgectl.scheduler.ranking import SHORT_RANKING, rank_hosts
 from tests.scheduler.test_scan import a_view
 from tests.scheduler.tight_fleets import build_random_fleet
@@ -83,3 +85,24 @@ def test_a_task_that_stays_by_the_bounds_stays_by_the_rule() -> None:
         assert (choice.verdict, choice.place) == (Verdict.KEPT, view.incumbent)
         assert rank_hosts(weighed, choice.place)[0]
     assert 10 < stayed < 140, f"{stayed} of 150: both answers occur"
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_a_task_that_stays_by_room_alone_stays_by_the_rule(beside: bool) -> None:
+    stayed = 0
+    for seed in range(150):
+        view = a_running_view(seed)
+        here = view.incumbent
+        assert here is not None
+        predecessors = dict.fromkeys(view.predecessors, here) if beside else {}
+        view = gather_candidates(
+            view.context, view.ledger, view.task, incumbent=here, predecessors=predecessors, placed={}
+        )
+        ledger = view.ledger.copy()
+        ledger.charge(here, compute_demand_usage(ledger.fleet, view.task, here))
+        if not stays_by_room(view.context, ledger, view.task, here, tuple(view.located), LoadPeaks()):
+            continue
+        stayed += 1
+        choice = choose_by_utility(weigh_candidates(view), MoveConstraints())
+        assert (choice.verdict, choice.place) == (Verdict.KEPT, here)
+    assert 0 < stayed < 150, f"{stayed} of 150: both answers occur"

@@ -16,7 +16,7 @@ from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostSample, Snapshot
 from edgectl.model.task import Task, Tasks
 from edgectl.scheduler.insertion import place_item
-from edgectl.scheduler.packing import Item, Packing
+from edgectl.scheduler.packing import Item, Packing, ShareTable
 from tests.builders import (
     NOW,
     a_link,
@@ -229,7 +229,7 @@ def test_names_do_not_decide_who_is_placed() -> None:
 
 
 def an_item(name: str, share: float, *places: int) -> Item:
-    return Item(name=name, tasks=(name,), places=places, shares={place: {0: share} for place in places})
+    return Item(name=name, tasks=(name,), places=places, shares=ShareTable(lambda _: {0: share}))
 
 
 @pytest.mark.parametrize(("work", "found"), [(20, True), (6, False)])
