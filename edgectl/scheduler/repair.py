@@ -5,7 +5,6 @@ from collections.abc import Collection, Mapping, Sequence
 
 from edgectl.model.task import Task
 from edgectl.scheduler.choice import Choice
-from edgectl.scheduler.dead_end import is_dead_end
 from edgectl.scheduler.decided_plan import (
     DecidedPlan,
     PlaceSorter,
@@ -53,6 +52,8 @@ def repair_plan(plan: DecidedPlan) -> dict[str, Choice]:
         item = _build_joint_item(plan, joining, sort_places, leaders, packing)
         # Of one task only: what a search in vain has drawn decides how the next one goes.
         if len(wanted) == 1 and item.name not in packing.at:
+            from edgectl.scheduler.dead_end import is_dead_end
+
             possible = possible and not is_dead_end(packing, item)
         if _place_joint_item(packing, item, possible=possible, preempt=any(each.preempt for each in joining)):
             located.update(each.name for each in joining)
