@@ -169,7 +169,9 @@ WING_PARTS = ("model", "files", "", "views", "report", "commands")
 WING_DOORS = {
     "model": set(),
     "files": {"config", "formats", "state"},
-    "simulator": {"scheduler", "executor"},
+    "simulator": {"scheduler"},
+    "simulator_memory": {"scheduler"},
+    "simulator_plans": {"scheduler", "executor", "rules"},
     "simulator_probe": {"rules"},
     "simulator_oracle": {"scheduler"},
     "replay": {"scheduler"},

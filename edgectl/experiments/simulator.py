@@ -11,13 +11,12 @@ from typing import Any
 
 import simpy
 
-from edgectl.executor.diff import diff_assignment
 from edgectl.experiments.model.mission_event import select_present_tasks
 from edgectl.experiments.model.scenario import Scenario, SimJob, SimRun, SimTiming
 from edgectl.experiments.simulator_events import start_events
 from edgectl.experiments.simulator_flows import get_job_speed
-from edgectl.experiments.simulator_oracle import assign_by_oracle
-from edgectl.experiments.simulator_probe import pass_probe, simulate_probe
+from edgectl.experiments.simulator_memory import SimMemory
+from edgectl.experiments.simulator_plans import plan_cycle
 from edgectl.experiments.simulator_speeds import notify_change, update_speeds
 from edgectl.experiments.simulator_state import (
     HostMeter,
@@ -27,26 +26,16 @@ from edgectl.experiments.simulator_state import (
     SimWork,
     UniformDraw,
     compute_host_usage,
+    forget_probe,
     integrate_loads,
     list_external_placements,
 )
-from edgectl.model.assignment import Reason
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import Placement
 from edgectl.model.plan import Action, Step
 from edgectl.model.policy import Policy
 from edgectl.model.task import Task, Tasks
-from edgectl.scheduler.assign import assign
-
-# Of decisions for which it does not matter how much anything uses.
-_REASONS_WITHOUT_READINGS = (
-    Reason.NEVER_MOVED,
-    Reason.ONBOARD_LOCAL,
-    Reason.DONE,
-    Reason.UNMANAGED,
-    Reason.PREDECESSOR_INCOMPLETE,
-    Reason.PREDECESSOR_MISSING,
-)
+from edgectl.scheduler.garbage import pause_collection
 
 
 def draw_no_jitter(_stream: str) -> float:
@@ -63,13 +52,21 @@ def simulate_mission(
     draw_uniform: UniformDraw = draw_no_jitter,
     *,
     oracle: bool = False,
+    memory: SimMemory | None = None,
 ) -> SimRun:
     """One run of the mission under ``policy``; the same draws give the same run.
 
-    ``oracle``: choose hosts by true speeds and links (`simulator_oracle.assign_by_oracle`).
+    ``oracle``: choose hosts by true speeds and links (`simulator_oracle.assign_by_oracle`). ``memory``: of
+    other runs of the same mission under the same policy; it makes this one faster and changes nothing.
 
     ``draw_uniform`` has a stream for each event, so that events come alike whatever else is drawn.
+
+    Raises:
+        ValueError: ``memory`` is of another mission or policy.
     """
+    memory = memory or SimMemory(inventory=inventory, tasks=tasks, scenario=scenario, policy=policy)
+    if not memory.is_of(inventory, tasks, scenario, policy):
+        raise ValueError("the memory is of another mission or policy")
     env = simpy.Environment()
     state = SimState(
         env=env,
@@ -84,16 +81,23 @@ def simulate_mission(
         changed=env.event(),
         reference=inventory.edges[0].name,
         meters={host: HostMeter() for host in scenario.hosts},
+        memory=None if scenario.events or scenario.cycles else memory,
     )
+    with pause_collection():
+        return _run_mission(state)
+
+
+def _run_mission(state: SimState) -> SimRun:
+    env, scenario = state.env, state.scenario
     for job in scenario.jobs:
         state.left[job.task] = state.left.get(job.task, 0) + 1
     for name, host in list_external_placements(state):
-        state.services[name] = SimTask(task=tasks.tasks[name], host=host, since=0.0, ready=True)
+        state.services[name] = SimTask(task=state.tasks.tasks[name], host=host, since=0.0, ready=True)
     update_speeds(state)
     done: dict[str, simpy.Process] = {}
     ends: dict[str, float] = {}
     for job in _sort_jobs(scenario.jobs):
-        work = job.work * math.exp(draw_normal() * job.spread) if job.spread else job.work
+        work = job.work * math.exp(state.draw_normal() * job.spread) if job.spread else job.work
         done[job.name] = env.process(_run_job(state, job, work, [done[name] for name in job.after], ends))
     start_events(state)
     env.process(_run_manager(state))
@@ -156,7 +160,7 @@ def _run_job(
     ends[job.name] = state.env.now
     state.ends.add(job.name)
     state.left[job.task] -= 1
-    state.samples.clear()
+    forget_probe(state)
     if state.scenario.links or state.scenario.events:
         integrate_loads(state)
         state.done.add(job.name)
@@ -170,7 +174,7 @@ def _run_manager(state: SimState) -> Generator[Any, Any, None]:
         began = state.env.now
         if timing.probe:
             yield state.env.timeout(timing.probe)
-        plan = _plan_cycle(state)
+        plan = plan_cycle(state)
         state.unplaced += sum(step.action is Action.UNPLACED for step in plan)
         steps = [step for step in plan if step.action.changes]
         state.starting = {step.task for step in steps if step.decision.host is not None}
@@ -183,27 +187,6 @@ def _run_manager(state: SimState) -> Generator[Any, Any, None]:
 
 def _compute_pause_s(timing: SimTiming, taken: float) -> float:
     return timing.every - math.fmod(taken, timing.every) if timing.paced else timing.every
-
-
-def _plan_cycle(state: SimState) -> tuple[Step, ...]:
-    """Probe and plan. A plan for which no reading counts stands until something else changes (ADR 137)."""
-    if state.standing is not None and len(state.samples) == len(state.scenario.hosts):
-        pass_probe(state)
-        return state.standing
-    snapshot = simulate_probe(state)
-    assignment = assign(
-        state.inventory, state.tasks, snapshot, state.manager, state.policy, state.env.now, explain=False
-    )
-    if state.oracle:
-        assignment = assign_by_oracle(state, assignment)
-    plan = diff_assignment(assignment, state.tasks, snapshot, state.manager)
-    state.standing = plan if not state.oracle and not any(map(_may_change, plan)) else None
-    return plan
-
-
-def _may_change(step: Step) -> bool:
-    """Whether the next plan may have another step although only readings and the time are others."""
-    return step.action.changes or step.decision.reason not in _REASONS_WITHOUT_READINGS
 
 
 def _run_step(state: SimState, step: Step) -> Generator[Any, Any, None]:

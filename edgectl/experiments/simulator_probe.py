@@ -13,6 +13,7 @@ from edgectl.experiments.simulator_state import (
     compute_host_load,
     get_link_bytes_per_s,
     get_nominal_bytes_per_s,
+    measure_hosts,
 )
 from edgectl.model.inventory import Role
 from edgectl.model.link_reading import LinkHistory, LinkObservation, LinkSampleResult
@@ -43,19 +44,19 @@ def simulate_probe(state: SimState) -> Snapshot:
         hosts={host: _simulate_host_sample(state, host) for host in state.scenario.hosts},
         manager=state.manager,
     )
-    return _read_live_links(state, snapshot) if _do_links_change(state) else snapshot
+    return _read_live_links(state, snapshot) if do_links_change(state) else snapshot
 
 
 def pass_probe(state: SimState) -> None:
     """A probe of which nobody reads the snapshot: what else it leaves behind, the draws included."""
-    if state.scenario.events or _do_links_change(state):
+    if state.scenario.events or do_links_change(state):
         simulate_probe(state)
         return
     for _ in state.scenario.hosts:
         state.draw_normal()
 
 
-def _do_links_change(state: SimState) -> bool:
+def do_links_change(state: SimState) -> bool:
     """Whether live capacities of links are read in this scenario."""
     scenario = state.scenario
     return scenario.live_links and (
@@ -113,10 +114,9 @@ def _simulate_host_sample(state: SimState, host: str) -> HostSample:
     sample = state.samples.get(host)
     if sample is None:
         sample = state.samples[host] = _build_sample(state, host)
-    noise = state.draw_normal() * state.scenario.timing.noise * machine.cores
+    used = _add_noise(state, host, sample.cpu)
     if host in state.overlay.lost:
         return HostSample(role=role, status=HostStatus.UNREACHABLE, error="lost")
-    used = min(machine.cores, max(0.0, sample.cpu + noise))
     return HostSample(
         role=role,
         status=HostStatus.OK,
@@ -129,9 +129,22 @@ def _simulate_host_sample(state: SimState, host: str) -> HostSample:
     )
 
 
+def read_cpu(state: SimState) -> dict[str, float]:
+    """The CPU in use by host, as a probe of a known state shows it now: with the same draws."""
+    used = state.known.used if state.known is not None else measure_hosts(state)
+    return {host: _add_noise(state, host, used[host].cpu) for host in state.scenario.hosts}
+
+
+def _add_noise(state: SimState, host: str, cpu: float) -> float:
+    """A reading (cores) of a host that uses ``cpu``."""
+    cores = state.scenario.hosts[host].cores
+    noise = state.draw_normal() * state.scenario.timing.noise * cores
+    return min(cores, max(0.0, cpu + noise))
+
+
 def _build_sample(state: SimState, host: str) -> SimSample:
     """What the probe shows until something changes."""
-    cpu, memory, _ = compute_host_load(state, host)
+    cpu, memory, *_ = compute_host_load(state, host) if state.known is None else state.known.used[host]
     services = {name: service for name, service in state.services.items() if service.host == host}
     on_edge = state.inventory.hosts[host].role is Role.EDGE
     robots = [robot.name for robot in state.inventory.robots] if on_edge else []

@@ -12,6 +12,7 @@ from edgectl.experiments.model.scenario import Scenario
 from edgectl.experiments.model.schemes import Scheme
 from edgectl.experiments.scheme_results import summarize_sim_runs
 from edgectl.experiments.simulator import simulate_mission
+from edgectl.experiments.simulator_memory import SimMemory
 from edgectl.model.inventory import Inventory
 from edgectl.model.task import Tasks
 
@@ -30,6 +31,7 @@ def simulate_schemes(
 ) -> Iterator[SchemeResult]:
     """Results of each scheme over the same ``runs`` random draws; the same seed gives the same results."""
     for scheme in schemes:
+        memory = SimMemory(inventory=inventory, tasks=tasks, scenario=scenario, policy=scheme.policy)
         sim_runs = [
             simulate_mission(
                 inventory,
@@ -39,6 +41,7 @@ def simulate_schemes(
                 partial(create_stream(f"{seed}/{run}").gauss, 0.0, 1.0),
                 build_uniform_draw(f"{seed}/{run}"),
                 oracle=scheme.oracle,
+                memory=memory,
             )
             for run in range(runs)
         ]

@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Speeds of simulated tasks: fair shares of processors and links, or the flow of items through both."""
 
-from collections.abc import Container, Mapping
+from collections.abc import Container, Hashable, Mapping
 
 from edgectl.experiments.model.scenario import Radio
 from edgectl.experiments.simulator_flows import select_ready_cycles, share_by_cycles
+from edgectl.experiments.simulator_memory import KnownShares, SimMemory
 from edgectl.experiments.simulator_state import (
     SimState,
     SimTask,
+    forget_probe,
     get_link_bytes_per_s,
     get_nominal_bytes_per_s,
+    measure_hosts,
 )
 from edgectl.model.demand import ZERO
 from edgectl.model.inventory import Role
@@ -40,8 +43,33 @@ def compute_fair_shares(capacity: float, demands: Mapping[str, float]) -> dict[s
 
 def update_speeds(state: SimState) -> None:
     """Recompute all speeds. Before a service changes, `integrate_loads` has to meter the time until then."""
+    forget_probe(state)
+    if state.memory is None:
+        _compute_speeds(state)
+    else:
+        _recall_speeds(state, state.memory)
+    notify_change(state)
+
+
+def _recall_speeds(state: SimState, memory: SimMemory) -> None:
+    """The speeds as they were the last time when the same tasks were on the same hosts."""
+    state.shared = describe_shares(state)
+    known = memory.shares.get(state.shared)
+    if known is None:
+        _compute_speeds(state)
+        known = KnownShares(state.cores, state.rates, state.speeds, measure_hosts(state))
+        memory.add_shares(state.shared, known)
+    state.cores, state.rates, state.speeds, state.known = known.cores, known.rates, known.speeds, known
+
+
+def describe_shares(state: SimState) -> Hashable:
+    """Equal where speeds and loads are, in a mission without events and cycles. Sums depend on the order."""
+    links = tuple([state.done.issuperset(change.after) for change in state.scenario.links])
+    return links, tuple([(name, each.host, each.ready) for name, each in state.services.items()])
+
+
+def _compute_speeds(state: SimState) -> None:
     state.cores, state.rates, state.speeds = {}, {}, {}
-    state.samples.clear()
     cycles = select_ready_cycles(state)
     for host, services in _group_services(state, cycles).items():
         _share_host_resources(state, host, services)
@@ -59,7 +87,6 @@ def update_speeds(state: SimState) -> None:
         state.speeds[name] = min(shares, default=1.0) if service.ready else 0.0
     if cycles:
         share_by_cycles(state, cycles)
-    notify_change(state)
 
 
 def _group_services(state: SimState, without: Container[str]) -> dict[str, dict[str, SimTask]]:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """State of a simulation: what runs, what events change, what hosts and links give, usage meters."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -10,6 +10,7 @@ import simpy
 from edgectl.experiments.model.mission_event import EventRecord, HostLoad, MissionEvent
 from edgectl.experiments.model.scenario import Scenario, SimHostUsage, SimJob
 from edgectl.experiments.simulator_cycles import Flow
+from edgectl.experiments.simulator_memory import HostUse, KnownShares, SimMemory
 from edgectl.model.demand import ZERO
 from edgectl.model.inventory import Inventory
 from edgectl.model.link_reading import LinkHistory
@@ -97,6 +98,8 @@ class SimState:
     work by robot, in s, of all its jobs and of those parts of them that are done. ``courses``: with events,
     by task with work, its speed over time from its entry or first job up to ``course_ends``. ``samples``:
     what a probe of each host shows until the next change, but for noise; ``standing``: the plan until then.
+    ``memory``: of states that runs of the mission have in common; None where they have none. ``shared``: the
+    present state as `describe_shares` has it, ``known``: what is known of it.
     """
 
     env: simpy.Environment
@@ -136,6 +139,9 @@ class SimState:
     course_ends: dict[str, float] = field(default_factory=dict)
     samples: dict[str, SimSample] = field(default_factory=dict)
     standing: tuple[Step, ...] | None = None
+    memory: SimMemory | None = None
+    shared: Hashable = None
+    known: KnownShares | None = None
 
 
 def list_external_placements(state: SimState) -> Iterable[tuple[str, str]]:
@@ -179,17 +185,32 @@ def integrate_loads(state: SimState) -> None:
     state.metered_at = state.env.now
     if seconds <= 0:
         return
+    used = state.known.used if state.known is not None else measure_hosts(state)
     for host, meter in state.meters.items():
-        cpu, memory, network = compute_host_load(state, host)
+        cpu, memory, network, rated = used[host]
         machine = state.scenario.hosts[host]
         meter.cpu += seconds * cpu / machine.cores
         meter.cpu_peak = max(meter.cpu_peak, cpu / machine.cores)
         meter.memory += seconds * memory / machine.memory
         meter.network += seconds * network
-        for name, service in state.services.items():
-            if service.host == host and service.ready and name in state.scenario.rate:
-                meter.rate += seconds * state.speeds.get(name, 0.0) * state.scenario.rate[name]
-                meter.rated_s += seconds
+        for speed, rate in rated:
+            meter.rate += seconds * speed * rate
+            meter.rated_s += seconds
+
+
+def measure_hosts(state: SimState) -> dict[str, HostUse]:
+    """What is in use now, by host."""
+    rated: dict[str, list[tuple[float, float]]] = {host: [] for host in state.meters}
+    for name, service in state.services.items():
+        if service.ready and name in state.scenario.rate:
+            rated[service.host].append((state.speeds.get(name, 0.0), state.scenario.rate[name]))
+    return {host: HostUse(*compute_host_load(state, host), tuple(rated[host])) for host in state.meters}
+
+
+def forget_probe(state: SimState) -> None:
+    """Something changed: a probe shows something else, and a plan may decide something else."""
+    state.samples.clear()
+    state.standing = None
 
 
 def compute_host_load(state: SimState, host: str) -> tuple[float, float, float]:

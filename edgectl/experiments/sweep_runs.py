@@ -9,11 +9,18 @@ from edgectl.experiments.model.scenario import SimRun
 from edgectl.experiments.model.sweep import SchemeRuns, SweepWorld, WorldResult
 from edgectl.experiments.sequential_test import find_certain_winner
 from edgectl.experiments.simulator import simulate_mission
+from edgectl.experiments.simulator_memory import SimMemory
 
 
 def simulate_world(world: SweepWorld) -> WorldResult:
     """The runs of all schemes. The same world gives the same result, wherever it is simulated."""
     runs: dict[str, list[SimRun]] = {scheme.name: [] for scheme in world.schemes}
+    memories = {
+        scheme.name: SimMemory(
+            inventory=world.inventory, tasks=world.tasks, scenario=world.scenario, policy=scheme.policy
+        )
+        for scheme in world.schemes
+    }
     winner, made = None, 0
     while made < world.bounds.runs and winner is None:
         seed = f"{world.bounds.seed}/{made}"
@@ -27,6 +34,7 @@ def simulate_world(world: SweepWorld) -> WorldResult:
                     scheme.policy,
                     partial(dice.gauss, 0.0, 1.0),
                     build_uniform_draw(seed),
+                    memory=memories[scheme.name],
                 )
             )
         made += 1

@@ -4,11 +4,12 @@
 Pure; the same inputs give the same bytes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from edgectl.model.assignment import Assignment
+from edgectl.dataclass import dataclass
+from edgectl.model.assignment import Assignment, OperatorPin
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
@@ -23,6 +24,7 @@ from edgectl.scheduler.initial_state import InitialState, build_initial_state
 from edgectl.scheduler.move_cost import collect_handoff_history
 from edgectl.scheduler.operator_pins import (
     NOTHING_YIELDED,
+    Yielded,
     explain_pins,
     find_yielded_hosts,
     pin_tasks,
@@ -72,24 +74,42 @@ def assign(
             finds both).
     """
     with pause_collection():
-        return _assign(inventory, tasks, snapshot, manager, policy, now, solve, explain=explain)
+        prepared = prepare_plan(inventory, tasks, snapshot, manager, policy, now, explain=explain)
+        return decide_plan(prepared, tasks, solve)
 
 
-def _assign(
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PreparedPlan:
+    """All that a plan is decided from.
+
+    ``how``: the pass, and the state before it. ``measured``: that state before the reservations of what runs.
+    ``policy``: with normalised weights. ``unpinned``: the sequence without the ``pins`` of operators, and
+    without the hosts ``yielded`` to pinned tasks.
+    """
+
+    how: PlacementPass
+    measured: InitialState
+    policy: Policy
+    unpinned: Sequence[Task]
+    pins: Mapping[str, OperatorPin]
+    yielded: Yielded
+
+
+def prepare_plan(
     inventory: Inventory,
     tasks: Tasks,
     snapshot: Snapshot,
     manager: ManagerState,
     policy: Policy,
     now: float,
-    solve: "Solver | None",
     *,
-    explain: bool,
-) -> Assignment:
+    explain: bool = True,
+) -> PreparedPlan:
+    """The first half of `assign`: what the fleet and the tasks are like, before anything is decided."""
     rules = POLICIES[policy.name]
     used = replace(policy, weights=(rules.weights or policy.weights).normalised())
     fleet = add_measured_demands(build_capacities(inventory, snapshot, manager, used.without), tasks, manager)
-    state = build_initial_state(tasks, manager, fleet, now, used)
+    measured = state = build_initial_state(tasks, manager, fleet, now, used)
     if not rules.strict_paper:
         state = reserve_running_tasks(state, tasks)
         fleet = state.ledger.fleet
@@ -108,21 +128,28 @@ def _assign(
         rules=rules.candidates,
         shares=build_demand_shares(fleet),
         now=now,
-        first=_select_first_placements(manager, state),
+        first=select_first_placements(manager, state),
         handoffs=collect_handoff_history(manager),
         placement_rules=build_placement_rules(order, fleet, state) if rules.settles else NO_RULES,
         ratings=collect_ratings(used, snapshot, fleet),
         turns={} if rules.settles else {task.name: turn for turn, task in enumerate(order)},
     )
-    how = PlacementPass(
-        context=context,
-        order=order,
-        rules=rules,
-        initial=state,
-        explain=explain,
+    return PreparedPlan(
+        how=PlacementPass(context=context, order=order, rules=rules, initial=state, explain=explain),
+        measured=measured,
+        policy=used,
+        unpinned=unpinned,
+        pins=pins,
+        yielded=yielded,
     )
+
+
+def decide_plan(prepared: PreparedPlan, tasks: Tasks, solve: "Solver | None" = None) -> Assignment:
+    """The second half of `assign`: a host for each task."""
+    how, explain = prepared.how, prepared.how.explain
+    state, fleet = how.initial, how.context.fleet
     certificate, made = None, how
-    if not rules.settles:
+    if not how.rules.settles:
         outcome, settled = run_once(how, state)
     else:
         known = run_with_groups(how, optimal=solve is not None)
@@ -133,14 +160,14 @@ def _assign(
             found, certificate = find_best_plan(how, known, solve)
         outcome, settled = found.outcome, found.settled
     # A pin is about the task itself: its copies wait wherever its file lets them.
-    made = replace(made, order=unpinned) if pins else made
+    made = replace(made, order=prepared.unpinned) if prepared.pins else made
     standbys, expected = place_standbys(made, outcome)
     used_places = {place for place, _ in outcome.placed.values()}
     return Assignment(
-        policy=used,
-        decisions=explain_pins(outcome.decisions, pins, yielded),
+        policy=prepared.policy,
+        decisions=explain_pins(outcome.decisions, prepared.pins, prepared.yielded),
         expected=expected.expected(used_places.union(*(each.places for each in standbys))) if explain else {},
-        standbys=build_standby_steps(made, standbys, expected),
+        standbys=build_standby_steps(made, standbys, expected) if standbys or state.standbys else {},
         settled=settled,
         frozen=state.frozen,
         unseen=state.unseen,
@@ -161,6 +188,6 @@ def _load_array_scan(fleet: Capacities, order: Sequence[Task], policy: Policy) -
     return build_array_scan(fleet, policy.weights, (task.name for task in order))
 
 
-def _select_first_placements(manager: ManagerState, state: InitialState) -> dict[str, str]:
+def select_first_placements(manager: ManagerState, state: InitialState) -> dict[str, str]:
     """First placements, without those of tasks that leave theirs because it is silent (ADR 0023)."""
     return {task: host for task, host in manager.first.items() if task not in state.replaced}

@@ -3,7 +3,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import field
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Rejection, RejectionRule, UtilityTerms
@@ -48,6 +48,8 @@ Totals: TypeAlias = "ListTotals | ArrayTotals"
 # All terms of one place, the total, and what is lacking there.
 ReferenceTerms: TypeAlias = tuple[UtilityTerms, float | None, tuple[Rejection, ...]]
 
+# Up to so many edges the choices of each task are kept: of more they fill the memory.
+MAX_KEPT_EDGES = 64
 # These close a host to new work only: what runs there may stay.
 NEW_WORK_ONLY = (RejectionRule.CORDONED, RejectionRule.STALE, RejectionRule.NO_ENGINE)
 
@@ -106,6 +108,17 @@ def reject_every_robot(_fleet: Capacities, _task: Task, _place: int) -> Rejectio
     return Rejection(rule=RejectionRule.ONBOARD)
 
 
+class Offer(NamedTuple):
+    """What one task may choose from whatever the load, as `CandidateSet` has it."""
+
+    task: Task
+    listed: Sequence[int]
+    denied: Mapping[int, Rejection]
+    robots: Sequence[int]
+    utilities: Mapping[int, float]
+    waived: Rejection | None
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AssignmentContext:
     """Whatever stays the same over all passes of one assignment.
@@ -113,7 +126,8 @@ class AssignmentContext:
     ``placement_rules``: between tasks. ``arrays``: weigh large fleets with NumPy (ADR 0076).
     ``turns``: the position of each task in the sequence, for policies that place in turn. ``ratings``:
     UT_rating, where it is weighed.
-    ``edge_rejections`` caches the edges closed to a task, by its rules.
+    ``edge_rejections`` caches the edges closed to a task, by its rules; ``offers`` what a task may choose
+    from, by its place and those of its predecessors.
     """
 
     fleet: Capacities
@@ -128,6 +142,7 @@ class AssignmentContext:
     turns: Mapping[str, int] = field(default_factory=dict)
     ratings: Ratings = field(default_factory=dict)
     edge_rejections: dict[object, dict[int, Rejection]] = field(default_factory=dict)
+    offers: dict[object, Offer] = field(default_factory=dict)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -182,6 +197,49 @@ def gather_candidates(
     ``stays``: weigh the incumbent even if it is denied. ``barred``: places that rules between tasks exclude.
     """
     located = tuple(predecessors.values())
+    offer = (
+        _build_offer(context, task, incumbent, located, stays=stays, barred=barred)
+        if barred or stays
+        else _get_offer(context, task, incumbent, located)
+    )
+    return CandidateSet(
+        context=context,
+        ledger=ledger,
+        task=task,
+        incumbent=incumbent,
+        predecessors=predecessors,
+        located=located,
+        placed=placed,
+        denied=offer.denied,
+        listed=offer.listed,
+        robots=offer.robots,
+        utilities=offer.utilities,
+        waived=offer.waived,
+    )
+
+
+def _get_offer(
+    context: AssignmentContext, task: Task, incumbent: int | None, located: Sequence[int]
+) -> Offer:
+    """What no load decides, kept on small fleets."""
+    key = task.name, incumbent, located
+    known = context.offers.get(key)
+    if known is None or known.task is not task:
+        known = _build_offer(context, task, incumbent, located)
+        if context.fleet.edges <= MAX_KEPT_EDGES:
+            context.offers[key] = known
+    return known
+
+
+def _build_offer(
+    context: AssignmentContext,
+    task: Task,
+    incumbent: int | None,
+    located: Sequence[int],
+    *,
+    stays: bool = False,
+    barred: Mapping[int, Rejection] | None = None,
+) -> Offer:
     robots = _list_robot_places(context, task, incumbent)
     listed, denied = _list_candidates(context, task, incumbent, robots)
     if barred:
@@ -193,20 +251,7 @@ def gather_candidates(
     far = len(denied) + len(near) < len(listed)
     rewards = _collect_affinities(located, near, far=far)
     utilities = context.rules.rate_affinity(rewards, len(located))
-    return CandidateSet(
-        context=context,
-        ledger=ledger,
-        task=task,
-        incumbent=incumbent,
-        predecessors=predecessors,
-        located=located,
-        placed=placed,
-        denied=denied,
-        listed=listed,
-        robots=robots,
-        utilities=utilities,
-        waived=waived,
-    )
+    return Offer(task, listed, denied, robots, utilities, waived)
 
 
 def weigh_candidates(candidates: CandidateSet) -> CandidateSet:

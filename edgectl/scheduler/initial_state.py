@@ -276,15 +276,20 @@ def _add_running_task(builder: _InitialStateBuilder, task: Task, current: FoundI
 
 
 def _build_running_task(builder: _InitialStateBuilder, task: Task, current: FoundInstance) -> RunningTask:
-    placement = builder.evidence.manager.placements.get(task.name)
-    remembered = placement is not None and placement.host == builder.evidence.fleet.places[current.place].name
+    host, started_at = builder.evidence.fleet.places[current.place].name, current.sample.started_at
     return RunningTask(
         place=current.place,
         use=compute_measured_usage(builder.evidence.fleet, current.sample, task, current.place),
-        since=placement.since if placement is not None and remembered else current.sample.started_at,
-        counts=builder.now - current.sample.started_at >= WARM_UP_S,
+        since=find_arrival(builder.evidence.manager, task.name, host, started_at),
+        counts=builder.now - started_at >= WARM_UP_S,
         sample=current.sample,
     )
+
+
+def find_arrival(manager: ManagerState, task: str, host: str, started_at: float) -> float:
+    """When a running task came to ``host``: as recorded for this host, else when it was started."""
+    placement = manager.placements.get(task)
+    return placement.since if placement is not None and placement.host == host else started_at
 
 
 def _build_given_up_decision(task: Task, ended: FoundInstance, host: str | None) -> Decision:

@@ -159,11 +159,16 @@ def build_measured_ledger(fleet: Capacities) -> Ledger:
         links=links,
         free={name: _compute_free_row(fleet.usable[name], row) for name, row in used.items()},
         free_links={robot: _compute_free_row(fleet.links[robot], row) for robot, row in links.items()},
-        tasks=[_count_tasks(sample) for sample in fleet.samples],
+        tasks=count_tasks(fleet),
     )
 
 
-def _count_tasks(sample: HostSample | None) -> int:
+def count_tasks(fleet: Capacities) -> list[int]:
+    """How many tasks live at each place."""
+    return [_count_living(sample) for sample in fleet.samples]
+
+
+def _count_living(sample: HostSample | None) -> int:
     """The living tasks on a host, those of other fleets too."""
     if sample is None or not sample.ok:
         return 0

@@ -47,6 +47,11 @@ def repair_plan(plan: DecidedPlan) -> dict[str, Choice]:
         before = dict(packing.at)
         possible = not bounded or all(_has_room_in_sum(plan, packing, each) for each in joining)
         item = _build_joint_item(frame, joining, packing)
+        # Of one task only: what a search in vain has drawn decides how the next one goes.
+        if len(wanted) == 1 and item.name not in packing.at:
+            from edgectl.scheduler.dead_end import is_dead_end
+
+            possible = possible and not is_dead_end(packing, item)
         if _place_joint_item(packing, item, possible=possible, preempt=any(each.preempt for each in joining)):
             located.update(each.name for each in joining)
             causes |= {name: task.name for name, place in before.items() if packing.at.get(name) != place}

@@ -44,8 +44,8 @@ DIGESTS = {
     },
     "patrol": {
         "local": "7e94115e5c5b",
-        "static": "729b99113f62",
-        "utility all": "511ef69a8118",
+        "static": "47177fec017b",
+        "utility all": "566e04922d21",
         "paper all": "39354d9f93a1",
     },
 }

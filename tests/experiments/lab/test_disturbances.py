@@ -12,10 +12,9 @@ from edgectl.experiments.files.run_directory import load_run, load_run_to_resume
 from edgectl.experiments.model.experiment import ExperimentRun
 from tests.experiments.lab.disturbances import explain_disturbance, list_set_aside, set_disturbed_aside
 from tests.experiments.lab.machine import EVERY_S, FILE_NAME, MachineSample
-from tests.experiments.lab.patrol import ROOT
 
-# Three repetitions of two schemes; in the third trial of static the stranger did not run.
-CHECK = ROOT / "docs" / "evaluation" / "check"
+# A run before the counted one: three repetitions of two schemes; in the third trial of static the stranger did not run.
+CHECK = Path(__file__).parent / "pilot"
 
 
 def watch(run: ExperimentRun, *, busy_in: int = 0, silent_in: int = 0) -> list[MachineSample]:

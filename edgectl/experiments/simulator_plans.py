@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Simulated cycles of the manager: a probe, and a plan of the real scheduler and the real diff."""
+
+from collections.abc import Hashable, Sequence
+
+from edgectl.executor.diff import diff_assignment
+from edgectl.experiments.simulator_memory import KnownCycle, SimMemory
+from edgectl.experiments.simulator_oracle import assign_by_oracle
+from edgectl.experiments.simulator_probe import do_links_change, pass_probe, read_cpu, simulate_probe
+from edgectl.experiments.simulator_state import SimState
+from edgectl.model.assignment import Assignment, Reason
+from edgectl.model.plan import Step
+from edgectl.rules.measured_demand import WARM_UP_S
+from edgectl.scheduler.assign import assign, decide_plan, prepare_plan
+from edgectl.scheduler.known_plan import read_again, remember_plan
+
+# Of decisions for which it does not matter how much anything uses.
+_REASONS_WITHOUT_READINGS = (
+    Reason.NEVER_MOVED,
+    Reason.ONBOARD_LOCAL,
+    Reason.DONE,
+    Reason.UNMANAGED,
+    Reason.PREDECESSOR_INCOMPLETE,
+    Reason.PREDECESSOR_MISSING,
+)
+
+
+def plan_cycle(state: SimState) -> tuple[Step, ...]:
+    """Probe and plan. A plan for which no reading counts stands until something else changes (ADR 137)."""
+    if state.standing is not None:
+        pass_probe(state)
+        return state.standing
+    if state.memory is None or state.oracle or do_links_change(state):
+        plan = _plan_anew(state)
+    else:
+        plan = _plan_from_memory(state, state.memory)
+    state.standing = plan if not state.oracle and not _may_change(plan) else None
+    return plan
+
+
+def _may_change(plan: Sequence[Step]) -> bool:
+    """Whether the next plan may be another one although only readings and the time are others."""
+    return any(step.action.changes or step.decision.reason not in _REASONS_WITHOUT_READINGS for step in plan)
+
+
+def _plan_anew(state: SimState) -> tuple[Step, ...]:
+    snapshot = simulate_probe(state)
+    assignment = assign(
+        state.inventory, state.tasks, snapshot, state.manager, state.policy, state.env.now, explain=False
+    )
+    if state.oracle:
+        assignment = assign_by_oracle(state, assignment)
+    return diff_assignment(assignment, state.tasks, snapshot, state.manager)
+
+
+def _plan_from_memory(state: SimState, memory: SimMemory) -> tuple[Step, ...]:
+    """The plan of a state in which only readings and times can be others than when it was first seen."""
+    key = _describe_cycle(state)
+    known = memory.cycles.get(key)
+    if known is not None and known.stands:
+        pass_probe(state)
+        return known.stands[0]
+    if known is None:
+        snapshot = simulate_probe(state)
+        prepared = prepare_plan(
+            state.inventory,
+            state.tasks,
+            snapshot,
+            state.manager,
+            state.policy,
+            state.env.now,
+            explain=False,
+        )
+        plan = remember_plan(prepared)
+        if plan is not None:
+            known = KnownCycle(plan=plan, snapshot=snapshot, steps={}, stands=[])
+            memory.add_cycle(key, known)
+    else:
+        snapshot = known.snapshot
+        started = {name: service.since for name, service in state.services.items()}
+        prepared = read_again(
+            known.plan, read_cpu(state), started, state.manager, state.policy, state.env.now
+        )
+    assignment = decide_plan(prepared, state.tasks)
+    decided = _describe_decisions(assignment)
+    steps = known.steps.get(decided) if known is not None else None
+    if steps is None:
+        steps = diff_assignment(assignment, state.tasks, snapshot, state.manager)
+        if known is not None:
+            known.steps[decided] = steps
+            if not _may_change(steps):
+                known.stands.append(steps)
+    return steps
+
+
+def _describe_cycle(state: SimState) -> Hashable:
+    """Equal where probe and record of the manager are, but for readings of CPU and times."""
+    now, manager, services = state.env.now, state.manager, state.services
+    return (
+        state.shared,
+        tuple([state.left.get(name) == 0 for name in services]),
+        tuple([now - service.since >= WARM_UP_S for service in services.values()]),
+        frozenset([(name, there.host) for name, there in manager.placements.items()]),
+        frozenset(manager.done),
+    )
+
+
+def _describe_decisions(assignment: Assignment) -> Hashable:
+    """All that is said of each task without explanations."""
+    return tuple(
+        [
+            (each.verdict, each.reason, each.host, each.previous_host, each.subject)
+            for each in assignment.decisions
+        ]
+    )
