@@ -5,7 +5,9 @@ import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from io import BytesIO
+from math import ceil
 from pathlib import Path
+from typing import Any
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure, SubFigure
@@ -14,6 +16,7 @@ from matplotlib.patches import Rectangle
 from edgectl.experiments.files.sweep_file import load_sweep
 from edgectl.experiments.files.sweep_results import load_results
 from edgectl.experiments.model.sweep import Sweep, SweepWorld, WorldResult
+from edgectl.experiments.report.figure_style import FIGURE_WIDTH_IN, SMALL_TEXT_PT, TEXT_PT
 from edgectl.experiments.scheme_results import compute_estimate
 
 ROOT = Path(__file__).parents[2]
@@ -101,10 +104,16 @@ def _format_time(result: WorldResult, scheme: str) -> str:
 
 
 def draw_figure(sweep: Sweep, results: Mapping[str, WorldResult]) -> bytes:
-    """The grids as maps, and a panel for each other setting; SVG."""
-    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "edgectl", "font.size": 8.0}):
-        figure = Figure(figsize=(7.16, 5.2), layout="constrained")
-        halves = figure.add_gridspec(2, 1, height_ratios=(3, 2))
+    """The grids as maps, and a panel for each other setting; SVG.
+
+    As wide as the figures of a report, so that it can be read on a screen of 400 px.
+    """
+    style: dict[Any, Any] = dict.fromkeys(
+        ("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), SMALL_TEXT_PT
+    )
+    with rc_context({**style, "svg.fonttype": "none", "svg.hashsalt": "edgectl", "font.size": TEXT_PT}):
+        figure = Figure(figsize=(FIGURE_WIDTH_IN, 6.4), layout="constrained")
+        halves = figure.add_gridspec(2, 1, height_ratios=(5, 4))
         _draw_maps(figure.add_subfigure(halves[0]), sweep, results)
         _draw_lines(figure.add_subfigure(halves[1]), sweep, results)
         data = BytesIO()
@@ -118,7 +127,7 @@ _COLOURS = {LOCAL: "#767676", STATIC: "#0072b2", DYNAMIC: "#d55e00"}
 def _draw_maps(figure: SubFigure, sweep: Sweep, results: Mapping[str, WorldResult]) -> None:
     worlds = [world for world in sweep.worlds if is_in_grid(world)]
     radios = list(dict.fromkeys(world.settings["radio"] for world in worlds))
-    for axes, radio in zip(figure.subplots(1, len(radios), sharey=True), radios, strict=True):
+    for axes, radio in zip(figure.subplots(len(radios), 1, sharex=True), radios, strict=True):
         here = [world for world in worlds if world.settings["radio"] == radio]
         ratios, cores = (
             list(dict.fromkeys(world.settings[key] for world in here))
@@ -138,15 +147,16 @@ def _draw_maps(figure: SubFigure, sweep: Sweep, results: Mapping[str, WorldResul
                 fontweight="bold",
             )
         axes.set(
-            xlim=(-0.5, len(ratios) - 0.5), ylim=(-0.5, len(cores) - 0.5), title=f"radio: {radio}",
-            xticks=range(len(ratios)), xticklabels=[f"1:{ratio}" for ratio in ratios], xlabel="far link to near link",
-            yticks=range(len(cores)), yticklabels=cores,
+            xlim=(-0.5, len(ratios) - 0.5), ylim=(-0.5, len(cores) - 0.5),
+            xticks=range(len(ratios)), xticklabels=[f"1:{ratio}" for ratio in ratios],
+            yticks=range(len(cores)), yticklabels=cores, ylabel="cores of a robot",
         )  # fmt: skip
-    figure.axes[0].set_ylabel("cores of a robot")
+        axes.set_title(f"radio: {radio}", fontsize=TEXT_PT)
+    figure.axes[-1].set_xlabel("far link to near link")
     figure.legend(
         handles=[_build_square(0, 0, colour) for colour in _COLOURS.values()],
         labels=["local is best or as good", "static is enough", "dynamic wins"],
-        loc="outside upper center", ncols=3, frameon=False,
+        loc="outside upper center", ncols=2, frameon=False,
     )  # fmt: skip
 
 
@@ -156,7 +166,8 @@ def _build_square(x: float, y: float, colour: str) -> Rectangle:
 
 def _draw_lines(figure: SubFigure, sweep: Sweep, results: Mapping[str, WorldResult]) -> None:
     names = [axis for axis in sweep.axes if axis not in GRID_AXES]
-    for axes, name in zip(figure.subplots(1, len(names), sharey=True), names, strict=True):
+    panels = figure.subplots(ceil(len(names) / 2), 2, sharey=True).flat
+    for axes, name in zip(panels, names, strict=False):
         worlds = [world for world in sweep.worlds if set(world.settings) == {name}]
         for scheme, colour in _COLOURS.items():
             found = [compute_estimate(results[world.digest].schemes[scheme].latency) for world in worlds]
@@ -169,7 +180,7 @@ def _draw_lines(figure: SubFigure, sweep: Sweep, results: Mapping[str, WorldResu
         )
         axes.set_ylim(bottom=0)
         axes.spines[["top", "right"]].set_visible(False)
-    figure.axes[0].set_ylabel("mission time, s")
+    figure.supylabel("mission time, s", fontsize=TEXT_PT)
 
 
 def replace_table(page: str, table: str) -> str:
