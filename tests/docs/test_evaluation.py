@@ -12,7 +12,7 @@ from edgectl.experiments.model.experiment import ExperimentRun
 from tests.docs import evaluation
 from tests.experiments.lab.machine import FILE_NAME, MachineSample
 
-CHECK = evaluation.ROOT / "docs" / "evaluation" / "check"
+CHECK = evaluation.ROOT / "tests" / "experiments" / "lab" / "pilot"
 
 
 def test_the_page_is_that_of_its_run() -> None:
