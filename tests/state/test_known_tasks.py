@@ -2,6 +2,7 @@
 """Tasks that are gone leave the history's known state: a host that invents names does not make it grow."""
 
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 from edgectl.state.store import Store
@@ -12,7 +13,7 @@ DAY_S = 86400.0
 
 
 def count_known(state: Path) -> int:
-    with sqlite3.connect(state / HISTORY_FILE_NAME) as connection:
+    with closing(sqlite3.connect(state / HISTORY_FILE_NAME)) as connection:
         return int(connection.execute("SELECT count(*) FROM known_tasks").fetchone()[0])
 
 
