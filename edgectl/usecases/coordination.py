@@ -191,12 +191,13 @@ def announce_starts(
     share_state(fleet, lease, {**load_local_copy(fleet.state, fleet.warn).starts, **new})
 
 
-def share_results(fleet: Fleet, lease: Term | None) -> None:
-    """Save the state after a change. Where that fails, what was done stays: the announced starts still
-    stand in etcd, and this machine saves its state with its next change.
+def share_results(fleet: Fleet, lease: Term | None, starts: Mapping[str, PendingStart]) -> None:
+    """Save the state after a change, with the ``starts`` of which nobody knows what became of them. Where
+    that fails, what was done stays: the announced starts still stand in etcd, and this machine saves its
+    state with its next change.
     """
     try:
-        share_state(fleet, lease, {})
+        share_state(fleet, lease, starts)
     except EdgectlError as error:
         fleet.warn(f"{error.message}: what this run changed is saved on this machine only; apply again")
 

@@ -16,12 +16,14 @@ from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan
 from edgectl.model.progress import ProgressListener, ignore_progress
 from edgectl.model.result import Outcome, Results
+from edgectl.model.snapshot import Snapshot
 from edgectl.rules.ros_nodes import list_lost_nodes
 from edgectl.state.heartbeats import record_orphans
 from edgectl.state.journal import JOURNAL_FILE_NAME, Journal
 from edgectl.state.journal_reader import JournalSummary, read_journal_cached
 from edgectl.state.lock import FleetLock, describe_manager, get_user_name
 from edgectl.state.manager_state import load_manager_state, save_manager_state, select_saved_fields
+from edgectl.state.shared_state import PendingStart
 from edgectl.transport.connections import SessionPool
 from edgectl.transport.fleet_lease import WatchNote
 from edgectl.transport.silence import SilenceTransport, SilentHosts
@@ -232,6 +234,7 @@ def has_nothing_to_do(fleet: Fleet, plan: Plan) -> bool:
     )
     return (
         select_saved_fields(after) == load_manager_state(fleet.state)
+        and _list_open_starts(fleet, plan.snapshot, after) == load_pending_starts(fleet)
         and not any(list_lost_nodes(plan.snapshot, fleet.inventory, ()))
         and read_journal_cached(fleet.state / JOURNAL_FILE_NAME).sound
     )
@@ -302,5 +305,15 @@ def _save_manager_state(
     if select_saved_fields(after) != load_manager_state(fleet.state):
         save_manager_state(fleet.state, after)
     if fleet.lease is not None:
-        share_results(fleet, fleet.lease.term)
+        share_results(fleet, fleet.lease.term, _list_open_starts(fleet, plan.snapshot, after))
     return after
+
+
+def _list_open_starts(fleet: Fleet, snapshot: Snapshot, after: ManagerState) -> dict[str, PendingStart]:
+    """The announced starts whose host has not answered since, and which no later one has replaced."""
+    return {
+        task: start
+        for task, start in load_pending_starts(fleet).items()
+        if start.host not in snapshot.hosts or not snapshot.hosts[start.host].ok
+        if task not in after.placements or after.placements[task].generation < start.generation
+    }
