@@ -26,6 +26,7 @@ from edgectl.state.manager_state import (
     save_manager_state,
     select_saved_fields,
 )
+from edgectl.state.open_work import OpenWork
 from edgectl.state.uptime import Uptime
 
 _COPY_FILE_NAME = "coordination.json"
@@ -47,24 +48,26 @@ class SharedState:
 
     ``manager``: without heartbeats and measured demands; with fences and orphans. ``ignored``: instances
     whose end no longer counts. ``starts``: by task, those that may have been sent since ``manager`` was
-    saved.
+    saved. ``journal``: what the last holder's leaves; an older edgectl shares none.
     """
 
     manager: ManagerState = field(default=ManagerState(), metadata=in_document(required=True))
     ignored: tuple[str, ...] = ()
     starts: Mapping[str, PendingStart] = field(default_factory=dict)
+    journal: OpenWork | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LocalCopy:
     """Which state of etcd the files of this machine come from: ``revision`` of the fleet's name ``id`` there
-    (0: none), ``digest`` of its content, and its ``starts``.
+    (0: none), ``digest`` of its content, its ``starts`` and ``journal``.
     """
 
     id: str = ""
     revision: int = 0
     digest: str = ""
     starts: Mapping[str, PendingStart] = field(default_factory=dict)
+    journal: OpenWork = OpenWork()
 
 
 _STATE_KIND = DocumentKind(name="state of a fleet in etcd", version=1, model=SharedState)
@@ -128,15 +131,16 @@ def save_local_copy(fleet_dir: Path, copy: LocalCopy) -> None:
 
 
 def collect_shared_state(
-    fleet_dir: Path, starts: Mapping[str, PendingStart], warn: Warn = ignore_warning
+    fleet_dir: Path, starts: Mapping[str, PendingStart], journal: OpenWork, warn: Warn = ignore_warning
 ) -> SharedState:
-    """The state of this machine as it is shared, with ``starts``."""
+    """The state of this machine as it is shared, with ``starts`` and ``journal``."""
     marks = load_heartbeats(fleet_dir, warn)
     manager = select_saved_fields(load_manager_state(fleet_dir, warn))
     return SharedState(
         manager=replace(manager, fenced=marks.fenced, orphans=marks.orphans),
         ignored=load_ignored_instances(fleet_dir, warn),
         starts=starts,
+        journal=journal,
     )
 
 

@@ -25,10 +25,15 @@ from edgectl.state.lock import FleetLock, describe_manager, get_user_name
 from edgectl.state.manager_state import load_manager_state, save_manager_state, select_saved_fields
 from edgectl.state.shared_state import PendingStart
 from edgectl.transport.connections import SessionPool
-from edgectl.transport.fleet_lease import WatchNote
+from edgectl.transport.fleet_lease import Term, WatchNote
 from edgectl.transport.silence import SilenceTransport, SilentHosts
 from edgectl.units import format_duration
-from edgectl.usecases.coordination import announce_starts, load_pending_starts, share_results
+from edgectl.usecases.coordination import (
+    announce_starts,
+    build_journal_listener,
+    load_pending_starts,
+    share_results,
+)
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.fleet_lease import compute_files_digest, hold_fleet
 from edgectl.usecases.heartbeat import track_heartbeats
@@ -131,10 +136,13 @@ def confirm_and_execute(
     used = compute_next_generations(
         manager, plan.snapshot, plan.steps, fleet.clock(), _list_used_generations(fleet, cut_off)
     )
-    announce_starts(fleet, fleet.lease.term if fleet.lease is not None else None, plan.steps, used)
-    with Journal.open(fleet.state, clock=fleet.clock, warn=fleet.warn) as journal:
+    plan_id, term = name or compute_plan_id(plan), _get_term(fleet)
+    announce_starts(fleet, term, plan.steps, used, plan_id=plan_id, revision=cut_off.revision + 1)
+    with Journal.open(
+        fleet.state, clock=fleet.clock, warn=fleet.warn, on_append=build_journal_listener(fleet, term)
+    ) as journal:
         identity = RunIdentity(
-            plan_id=name or compute_plan_id(plan),
+            plan_id=plan_id,
             revision=journal.log.revision + 1,
             generations=used,
             verb=verb,
@@ -272,7 +280,10 @@ def _recover_interrupted_apply(fleet: Fleet, log: JournalSummary, silent: Silent
     from edgectl.executor.hold_release import release_hold
     from edgectl.executor.state_removal import drop_left_state
 
-    with Journal.open(fleet.state, clock=fleet.clock, warn=fleet.warn) as journal:
+    term = _get_term(fleet)
+    with Journal.open(
+        fleet.state, clock=fleet.clock, warn=fleet.warn, on_append=build_journal_listener(fleet, term)
+    ) as journal:
         places = load_manager_state(fleet.state).placements
         for task in journal.log.held:
             located = places[task].host if task in places else None
@@ -295,6 +306,11 @@ def _recover_interrupted_apply(fleet: Fleet, log: JournalSummary, silent: Silent
             if dropped:
                 journal.append("dropped", task=task)
         journal.append("recovered", tasks=list(log.unfinished))
+    share_results(fleet, term)
+
+
+def _get_term(fleet: Fleet) -> Term | None:
+    return fleet.lease.term if fleet.lease is not None else None
 
 
 def _save_manager_state(
@@ -304,8 +320,7 @@ def _save_manager_state(
     after = update_manager_state(manager, plan, fleet.tasks, results, used, fleet.clock())
     if select_saved_fields(after) != load_manager_state(fleet.state):
         save_manager_state(fleet.state, after)
-    if fleet.lease is not None:
-        share_results(fleet, fleet.lease.term, _list_open_starts(fleet, plan.snapshot, after))
+    share_results(fleet, _get_term(fleet), _list_open_starts(fleet, plan.snapshot, after))
     return after
 
 
