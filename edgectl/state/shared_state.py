@@ -27,6 +27,7 @@ from edgectl.state.manager_state import (
     select_saved_fields,
 )
 from edgectl.state.open_work import OpenWork
+from edgectl.state.shared_demands import load_shared_demands, save_shared_demands
 from edgectl.state.uptime import Uptime
 
 _COPY_FILE_NAME = "coordination.json"
@@ -46,9 +47,9 @@ class PendingStart:
 class SharedState:
     """What etcd keeps of a fleet.
 
-    ``manager``: without heartbeats and measured demands; with fences and orphans. ``ignored``: instances
-    whose end no longer counts. ``starts``: by task, those that may have been sent since ``manager`` was
-    saved. ``journal``: what the last holder's leaves; an older edgectl shares none.
+    ``manager``: without heartbeats; with fences, orphans and the measured demands that are shared.
+    ``ignored``: instances whose end no longer counts. ``starts``: by task, those that may have been sent
+    since ``manager`` was saved. ``journal``: what the last holder's leaves; an older edgectl shares none.
     """
 
     manager: ManagerState = field(default=ManagerState(), metadata=in_document(required=True))
@@ -137,7 +138,12 @@ def collect_shared_state(
     marks = load_heartbeats(fleet_dir, warn)
     manager = select_saved_fields(load_manager_state(fleet_dir, warn))
     return SharedState(
-        manager=replace(manager, fenced=marks.fenced, orphans=marks.orphans),
+        manager=replace(
+            manager,
+            fenced=marks.fenced,
+            orphans=marks.orphans,
+            measured=load_shared_demands(fleet_dir, warn),
+        ),
         ignored=load_ignored_instances(fleet_dir, warn),
         starts=starts,
         journal=journal,
@@ -153,6 +159,8 @@ def install_shared_state(fleet_dir: Path, state: SharedState, hosts: Iterable[st
     """
     manager = state.manager
     places = {placement.host for placement in manager.placements.values()}
+    if manager.measured != load_shared_demands(fleet_dir):
+        save_shared_demands(fleet_dir, manager.measured)
     save_manager_state(fleet_dir, replace(manager, orphans={}))
     save_ignored_instances(fleet_dir, state.ignored)
     replace_marks(

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coordination of the managers of a fleet by etcd: the lease that one of them holds, and the state that they
-share (docs/adr/0080, 0081, 0176). Without ``coordination`` in the inventory nothing of this is done.
+share (docs/adr/0080, 0081, 0176, 0177). Without ``coordination`` in the inventory nothing of this is done.
 """
 
 import contextlib
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from edgectl.errors import CoordinationError, EdgectlError, LockBusyError, StateError, WatchedError
 from edgectl.model.plan import Step
+from edgectl.rules.measured_demand import MeasuredDemands
 from edgectl.state.failpoints import hit_failpoint
 from edgectl.state.journal_reader import JournalEntry
 from edgectl.state.lock import FleetLock, describe_manager
@@ -24,6 +25,7 @@ from edgectl.state.open_work import (
     has_to_be_shared,
     take_over_work,
 )
+from edgectl.state.shared_demands import save_shared_demands
 from edgectl.state.shared_state import (
     LocalCopy,
     PendingStart,
@@ -239,12 +241,19 @@ def build_journal_listener(fleet: Fleet, lease: Term | None) -> Callable[[Journa
     return share
 
 
-def share_results(fleet: Fleet, lease: Term | None, starts: Mapping[str, PendingStart] | None = None) -> None:
+def share_results(
+    fleet: Fleet,
+    lease: Term | None,
+    starts: Mapping[str, PendingStart] | None = None,
+    demands: MeasuredDemands | None = None,
+) -> None:
     """Save the state after a change, with the ``starts`` of which nobody knows what became of them (None:
-    all). Where that fails, what was done stays: the announced starts still stand in etcd, and this machine
-    saves its state with its next change.
+    all), and the measured ``demands`` (None: as they were). Where that fails, what was done stays: the
+    announced starts still stand in etcd, and this machine saves its state with its next change.
     """
     try:
+        if demands is not None:
+            save_shared_demands(fleet.state, demands)
         share_state(fleet, lease, starts)
     except EdgectlError as error:
         fleet.warn(f"{error.message}: what this run changed is saved on this machine only; apply again")

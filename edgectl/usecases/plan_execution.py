@@ -38,6 +38,7 @@ from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.fleet_lease import compute_files_digest, hold_fleet
 from edgectl.usecases.heartbeat import track_heartbeats
 from edgectl.usecases.lost_nodes import forget_lost_nodes
+from edgectl.usecases.measured_demand import find_news_of_demands
 from edgectl.usecases.plan import compute_plan_id, keep_whole_plan
 from edgectl.usecases.record import record_results
 
@@ -243,6 +244,7 @@ def has_nothing_to_do(fleet: Fleet, plan: Plan) -> bool:
     return (
         select_saved_fields(after) == load_manager_state(fleet.state)
         and _list_open_starts(fleet, plan.snapshot, after) == load_pending_starts(fleet)
+        and (_get_term(fleet) is None or find_news_of_demands(fleet, after.measured) is None)
         and not any(list_lost_nodes(plan.snapshot, fleet.inventory, ()))
         and read_journal_cached(fleet.state / JOURNAL_FILE_NAME).sound
     )
@@ -320,7 +322,14 @@ def _save_manager_state(
     after = update_manager_state(manager, plan, fleet.tasks, results, used, fleet.clock())
     if select_saved_fields(after) != load_manager_state(fleet.state):
         save_manager_state(fleet.state, after)
-    share_results(fleet, _get_term(fleet), _list_open_starts(fleet, plan.snapshot, after))
+    term = _get_term(fleet)
+    if term is not None:
+        share_results(
+            fleet,
+            term,
+            _list_open_starts(fleet, plan.snapshot, after),
+            find_news_of_demands(fleet, manager.measured),
+        )
     return after
 
 

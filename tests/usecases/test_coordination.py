@@ -46,7 +46,7 @@ class Site:
         self.hosts, self.folder, self.said = FakeFleet.of(names), folder, list[str]()
         inventory = an_inventory(*map(an_edge, names))
         self.inventory = dataclasses.replace(inventory, coordination=place, fleet=folder.name)
-        self.want = TASKS
+        self.want: tuple[Task, ...] = TASKS
 
     def manager(self, name: str, *silent: str, tasks: tuple[Task, ...] | None = None) -> Fleet:
         """A manager for which the hosts ``silent`` do not answer; ``tasks``: None: those that the site wants."""

@@ -9,18 +9,25 @@ from pathlib import Path
 import pytest
 
 from edgectl.errors import StalePlanError
+from edgectl.model.assignment import DemandSource
 from edgectl.model.check import Check
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy
+from edgectl.model.resource import CPU, Usage
 from edgectl.model.task import Task
 from edgectl.state import failpoints
 from edgectl.state.journal_reader import read_journal
 from edgectl.state.open_work import OpenWork, collect_open_work, take_over_work
 from edgectl.state.revisions import load_revisions
 from edgectl.state.shared_state import load_local_copy, save_local_copy
+from edgectl.state.store import Store
+from edgectl.transport.etcd_client import EtcdClient
+from edgectl.transport.etcd_lease import read_fleet_keys
 from edgectl.usecases.apply import ApplyResult, apply_saved_plan, plan_and_apply
 from edgectl.usecases.plan import make_plan
-from tests.builders import NOW, a_robot, a_task
+from edgectl.usecases.probe import probe_fleet
+from edgectl.usecases.watch import WatchOptions, watch_fleet
+from tests.builders import NOW, a_robot, a_run, a_snapshot, a_task
 from tests.etcd import EtcdCluster
 from tests.usecases.test_coordination import PATIENT, Site
 from tests.usecases.test_recovery import HOOKS, ManagerKilledError, choose_failpoints
@@ -194,3 +201,62 @@ def test_a_saved_plan_is_applied_once_by_all_machines_together(etcd: EtcdCluster
     apply_saved_plan(site.manager("ana"), plan, PATIENT)
     with pytest.raises(StalePlanError, match="it was applied before"):
         apply_saved_plan(site.manager("ben"), plan, PATIENT)
+
+
+MEASURED = a_task("slam", cpu=None)
+
+
+def record_use(site: Site, name: str, cores: float, *, samples: int = 80) -> None:
+    """Samples of the task on a host like those of the site, from which this machine alone knows what it uses."""
+    measured = probe_fleet(site.manager(name)).hosts["edge1"]
+    run = a_run(spec_hash=MEASURED.spec_hash, started_at=NOW - 5000, used=Usage(cpu=cores, memory=1e6))
+    with Store.open(site.folder / name) as store:
+        for n in range(samples):
+            seen = dataclasses.replace(measured, tasks={"slam": run})
+            store.record_snapshot(a_snapshot({"edge1": seen}, taken_at=NOW - 10 * (samples - n)))
+
+
+def open_measured_site(etcd: EtcdCluster, tmp_path: Path) -> Site:
+    site = Site(etcd.place, tmp_path)
+    site.want = (MEASURED,)
+    record_use(site, "ana", 1.25)
+    apply_as(site, "ana")
+    return site
+
+
+def find_demand(site: Site, name: str) -> tuple[float, DemandSource]:
+    (step,) = make_plan(site.manager(name), POLICY).steps
+    (found,) = (each for each in step.decision.demand if each.resource == CPU)
+    return found.value, found.source
+
+
+def read_revision(site: Site) -> int:
+    place = site.inventory.coordination
+    assert place is not None
+    return read_fleet_keys(EtcdClient(place), site.inventory.fleet).state_revision
+
+
+def test_what_one_machine_has_measured_counts_for_the_next(etcd: EtcdCluster, tmp_path: Path) -> None:
+    site = open_measured_site(etcd, tmp_path)
+    assert find_demand(site, "ben") == (1.25, DemandSource.MEASURED)
+    record_use(site, "ben", 0.5, samples=30)  # not enough yet
+    assert find_demand(site, "ben") == (1.25, DemandSource.MEASURED)
+    record_use(site, "ben", 0.5, samples=80)
+    assert find_demand(site, "ben") == (0.5, DemandSource.MEASURED)
+    apply_as(site, "ben")
+    assert find_demand(site, "dan") == (0.5, DemandSource.MEASURED)
+    site.want = (dataclasses.replace(MEASURED, spec_hash="another"),)
+    assert find_demand(site, "eve")[1] is DemandSource.NONE
+
+
+def test_demands_are_saved_in_etcd_only_where_they_are_off_by_a_tenth(
+    etcd: EtcdCluster, tmp_path: Path
+) -> None:
+    """A watch that has nothing else to do shares them, too."""
+    site = open_measured_site(etcd, tmp_path)
+    before = read_revision(site)
+    for cores, written in ((1.35, False), (1.39, True)):
+        record_use(site, "ana", cores, samples=1000)
+        list(watch_fleet(site.manager("ana"), WatchOptions(apply=True, cycles=1)))
+        assert (read_revision(site) > before) is written
+    assert find_demand(site, "ben") == (1.39, DemandSource.MEASURED)
