@@ -8,10 +8,12 @@ from dataclasses import field
 
 from edgectl.dataclass import dataclass
 from edgectl.errors import StateError, UsageError
+from edgectl.executor.dependencies import list_stop_hosts
 from edgectl.executor.manager_state_update import compute_next_generations, update_manager_state
 from edgectl.executor.run_options import RunIdentity, RunOptions
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.gateway.task_lookup import find_doubled_instances
+from edgectl.model.inventory import Host
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan
 from edgectl.model.progress import ProgressListener, ignore_progress
@@ -131,6 +133,8 @@ def confirm_and_execute(
         _save_manager_state(fleet, plan, manager, _NO_RESULTS, {})
         _recover_interrupted_apply(fleet, cut_off, silent)
         return ApplyResult(plan=plan)
+    if isinstance(fleet.transport, SessionPool):
+        fleet.transport.expect_requests(_list_changed_hosts(fleet, plan))
     # Before anything is announced. An apply that changes nothing, as most of cron do, needs none of it.
     from edgectl.executor.run import run_plan
 
@@ -173,6 +177,17 @@ def confirm_and_execute(
     if fleet.lease is not None and fleet.lease.watched_by is not None and verb != "watch":
         fleet.warn(_describe_watch(fleet, fleet.lease.watched_by))
     return ApplyResult(plan=plan, results=results, doubled=_look_for_doubled(fleet, plan, silent))
+
+
+def _list_changed_hosts(fleet: Fleet, plan: Plan) -> list[Host]:
+    """The hosts on which a step starts or stops something."""
+    named = {
+        name
+        for step in plan.steps
+        if step.action.changes or step.stop
+        for name in (step.decision.host, *list_stop_hosts(step))
+    }
+    return [host for host in fleet.inventory.hosts.values() if host.name in named]
 
 
 def check_former_fleet(fleet: Fleet, plan: Plan) -> None:
