@@ -18,21 +18,29 @@ from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan
 from edgectl.model.progress import ProgressListener, ignore_progress
 from edgectl.model.result import Outcome, Results
+from edgectl.model.snapshot import Snapshot
 from edgectl.rules.ros_nodes import list_lost_nodes
 from edgectl.state.heartbeats import record_orphans
 from edgectl.state.journal import JOURNAL_FILE_NAME, Journal
 from edgectl.state.journal_reader import JournalSummary, read_journal_cached
 from edgectl.state.lock import FleetLock, describe_manager, get_user_name
 from edgectl.state.manager_state import load_manager_state, save_manager_state, select_saved_fields
+from edgectl.state.shared_state import PendingStart
 from edgectl.transport.connections import SessionPool
-from edgectl.transport.fleet_lease import WatchNote
+from edgectl.transport.fleet_lease import Term, WatchNote
 from edgectl.transport.silence import SilenceTransport, SilentHosts
 from edgectl.units import format_duration
-from edgectl.usecases.coordination import announce_starts, load_pending_starts, share_results
+from edgectl.usecases.coordination import (
+    announce_starts,
+    build_journal_listener,
+    load_pending_starts,
+    share_results,
+)
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.fleet_lease import compute_files_digest, hold_fleet
 from edgectl.usecases.heartbeat import track_heartbeats
 from edgectl.usecases.lost_nodes import forget_lost_nodes
+from edgectl.usecases.measured_demand import find_news_of_demands
 from edgectl.usecases.plan import compute_plan_id, keep_whole_plan
 from edgectl.usecases.record import record_results
 
@@ -133,10 +141,13 @@ def confirm_and_execute(
     used = compute_next_generations(
         manager, plan.snapshot, plan.steps, fleet.clock(), _list_used_generations(fleet, cut_off)
     )
-    announce_starts(fleet, fleet.lease.term if fleet.lease is not None else None, plan.steps, used)
-    with Journal.open(fleet.state, clock=fleet.clock, warn=fleet.warn) as journal:
+    plan_id, term = name or compute_plan_id(plan), _get_term(fleet)
+    announce_starts(fleet, term, plan.steps, used, plan_id=plan_id, revision=cut_off.revision + 1)
+    with Journal.open(
+        fleet.state, clock=fleet.clock, warn=fleet.warn, on_append=build_journal_listener(fleet, term)
+    ) as journal:
         identity = RunIdentity(
-            plan_id=name or compute_plan_id(plan),
+            plan_id=plan_id,
             revision=journal.log.revision + 1,
             generations=used,
             verb=verb,
@@ -247,6 +258,8 @@ def has_nothing_to_do(fleet: Fleet, plan: Plan) -> bool:
     )
     return (
         select_saved_fields(after) == load_manager_state(fleet.state)
+        and _list_open_starts(fleet, plan.snapshot, after) == load_pending_starts(fleet)
+        and (_get_term(fleet) is None or find_news_of_demands(fleet, after.measured) is None)
         and not any(list_lost_nodes(plan.snapshot, fleet.inventory, ()))
         and read_journal_cached(fleet.state / JOURNAL_FILE_NAME).sound
     )
@@ -284,7 +297,10 @@ def _recover_interrupted_apply(fleet: Fleet, log: JournalSummary, silent: Silent
     from edgectl.executor.hold_release import release_hold
     from edgectl.executor.state_removal import drop_left_state
 
-    with Journal.open(fleet.state, clock=fleet.clock, warn=fleet.warn) as journal:
+    term = _get_term(fleet)
+    with Journal.open(
+        fleet.state, clock=fleet.clock, warn=fleet.warn, on_append=build_journal_listener(fleet, term)
+    ) as journal:
         places = load_manager_state(fleet.state).placements
         for task in journal.log.held:
             located = places[task].host if task in places else None
@@ -307,6 +323,11 @@ def _recover_interrupted_apply(fleet: Fleet, log: JournalSummary, silent: Silent
             if dropped:
                 journal.append("dropped", task=task)
         journal.append("recovered", tasks=list(log.unfinished))
+    share_results(fleet, term)
+
+
+def _get_term(fleet: Fleet) -> Term | None:
+    return fleet.lease.term if fleet.lease is not None else None
 
 
 def _save_manager_state(
@@ -316,6 +337,22 @@ def _save_manager_state(
     after = update_manager_state(manager, plan, fleet.tasks, results, used, fleet.clock())
     if select_saved_fields(after) != load_manager_state(fleet.state):
         save_manager_state(fleet.state, after)
-    if fleet.lease is not None:
-        share_results(fleet, fleet.lease.term)
+    term = _get_term(fleet)
+    if term is not None:
+        share_results(
+            fleet,
+            term,
+            _list_open_starts(fleet, plan.snapshot, after),
+            find_news_of_demands(fleet, manager.measured),
+        )
     return after
+
+
+def _list_open_starts(fleet: Fleet, snapshot: Snapshot, after: ManagerState) -> dict[str, PendingStart]:
+    """The announced starts whose host has not answered since, and which no later one has replaced."""
+    return {
+        task: start
+        for task, start in load_pending_starts(fleet).items()
+        if start.host not in snapshot.hosts or not snapshot.hosts[start.host].ok
+        if task not in after.placements or after.placements[task].generation < start.generation
+    }
