@@ -11,15 +11,13 @@ from edgectl.dataclass import dataclass
 from edgectl.errors import HostError
 from edgectl.gateway.fanout import MAX_PARALLEL_HOSTS, HostAnswer, HostReply, ask_all, fan_out
 from edgectl.gateway.latency import Latencies, decode_latencies, join_latencies
-from edgectl.gateway.link_observations import LinkEnds, decode_link_ends, join_link_ends
+from edgectl.gateway.link_observations import LinkEnds, join_link_ends
 from edgectl.gateway.probe_reply import (
     ReplyContext,
     apply_done_tasks,
-    decode_done_tasks,
-    decode_former_names,
-    decode_host_sample,
-    decode_names_elsewhere,
-    decode_unowned_tasks,
+    build_host_sample,
+    decode_probe,
+    list_done_tasks,
 )
 from edgectl.gateway.probe_request import build_probe_request, list_checked_tasks, list_detected_tasks
 from edgectl.model.inventory import Host, Inventory, Role
@@ -203,13 +201,14 @@ def _decode_reply(reply: HostReply, context: _ProbeContext) -> DecodedProbe:
     host, document = reply.host, reply.document
     if context.lease is not None:
         context.lease.take_reply(host.name, document.get("lease"))
+    probe = decode_probe(document, host)
     return DecodedProbe(
-        sample=decode_host_sample(document, _build_reply_context(host, context)),
-        links=decode_link_ends(document),
-        done=decode_done_tasks(document, list_checked_tasks(context.tasks, host, elsewhere=True)),
-        unowned=decode_unowned_tasks(document),
-        former=decode_former_names(document),
-        elsewhere=decode_names_elsewhere(document),
+        sample=build_host_sample(probe, document, _build_reply_context(host, context)),
+        links=LinkEnds(links=probe.links, peers=probe.peers),
+        done=list_done_tasks(probe) & list_checked_tasks(context.tasks, host, elsewhere=True),
+        unowned=frozenset(probe.unowned),
+        former=frozenset(probe.former),
+        elsewhere=frozenset(probe.grants.names),
         latencies=decode_latencies(document),
     )
 
