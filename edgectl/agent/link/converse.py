@@ -16,14 +16,14 @@ from . import cache, protocol
 from .boot import FINGERPRINT, AgentImporter, Channel
 from .errors import RefusalError
 from .fast_json import dumps
-from .frames import ASK, END, MANAGER_WORDS, OUTPUT, REFUSED, SILENCE_S, FrameReader, build_frame
+from .frames import ASK, DROP, END, MANAGER_WORDS, OUTPUT, REFUSED, SILENCE_S, FrameReader, build_frame
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Callable, Dict, List, NoReturn, Set, Tuple
 
     # As `main.serve_request`.
-    Serve = Callable[[bytes, Channel, List[str]], None]
+    Serve = Callable[[bytes, Channel, List[str], bool], None]
 
 # More than a manager asks at once; the rest are children that nobody waits for any more.
 _MAX_CHILDREN = 16
@@ -94,15 +94,18 @@ class _StayingAgent:
                 for word, number, body in self._reader.feed(data):
                     if word == ASK:
                         self._begin(number, body)
+                    elif word == DROP:
+                        self.end_children(number)
             if self._channel.fd in ready:
                 self._send()
             for fd in ready.intersection(self._children):
                 self._pass_on(fd)
 
-    def end_children(self) -> None:
-        """End the requests under way, for which nobody waits any more: they only read."""
-        for _, pid, _ in self._children.values():
-            os.kill(pid, signal.SIGTERM)
+    def end_children(self, only: int = 0) -> None:
+        """End the requests under way, or one of them, for which nobody waits any more: they only read."""
+        for number, pid, _ in self._children.values():
+            if only in (0, number):
+                os.kill(pid, signal.SIGTERM)
 
     def _wait(self, until: float) -> "Set[int]":
         """Wait for what can be read or written. No child is read while the line is full: bounded memory."""
@@ -208,7 +211,7 @@ class _StayingAgent:
             # A timer is not inherited.
             signal.setitimer(signal.ITIMER_REAL, float(words[4]))
             known = len(self._importer.bundle)
-            self._serve_request(request, Channel(words[0]), self._bases)
+            self._serve_request(request, Channel(words[0]), self._bases, True)
             os._exit(_COMPILED if len(self._importer.bundle) != known else 0)
         finally:
             os._exit(1)
