@@ -9,7 +9,7 @@ import contextlib
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import field
 from functools import partial
@@ -168,7 +168,7 @@ class SessionPool:
         ``feeds`` receive what it says by itself.
         """
         self._transport = transport
-        self._converse = converse
+        self._converse = self._converses = converse
         self._feeds = feeds
         self._forget_s = forget_s
         self._clock = clock
@@ -220,6 +220,24 @@ class SessionPool:
         with self._lock:
             return _Connection(share_agent(session, host, self.address, self._staying, self._feeds))
 
+    def expect_requests(self, hosts: Iterable[Host]) -> None:
+        """Begin an agent that stays on each connected one of ``hosts``: many requests follow, also changes.
+
+        After a new login each request is a call again.
+        """
+        from edgectl.transport.conversation import ConversingSession, share_agent
+
+        self._converses = True
+        for host in hosts:
+            with self._lock:
+                kept = self._open.get(host.name)
+                if kept is None or kept.lost:
+                    continue
+                if not isinstance(kept.session, ConversingSession):
+                    kept.session = share_agent(kept.session, host, self.address, self._staying)
+            if isinstance(kept.session, ConversingSession):
+                kept.session.expect_requests(host)
+
     @contextlib.contextmanager
     def _open_channel(self, kept: _Connection) -> Iterator[None]:
         """One channel of a connection, which a ConnectError or DeadlineError marks as lost."""
@@ -248,7 +266,7 @@ class SessionPool:
         everything = [kept.session for kept in (*self._open.values(), *self._lost)]
         for session in everything:
             session.close()
-        if self._converse:
+        if self._converses:
             from edgectl.transport.conversation import ConversingSession
 
             for session in everything:

@@ -43,6 +43,7 @@ class ReadingFeed:
     output: bytes = b""
     ended: threading.Event = field(default_factory=threading.Event)
     whole: bool = False
+    refused: bool = False
     is_over: bool = False
     reading: Reading | None = None
     drop: Callable[[], None] | None = None

@@ -58,6 +58,8 @@ CHANGING_OPS = (
 HELD_OPS = (OP_ACTIVATE, OP_DEACTIVATE)
 # Those that a conversation carries (`frames.py`): each may be carried out twice without harm.
 CONVERSED_OPS = (OP_LEASE, OP_LOGS, OP_PROBE, OP_READINGS, OP_STATUS, OP_WAIT)
+# Those that one carries where many are expected: the same one twice is one, and it goes on to its end.
+CONVERSED_CHANGES = (OP_MARK, OP_START, OP_STOP)
 # A host says at least so often (s) that a reading is as it was.
 READING_SAID_S = 4.0
 SIGNATURE_KEYS = ("holder", "session", "epoch")
