@@ -104,7 +104,7 @@ class _StayingAgent:
                 self._pass_on(fd)
 
     def end_children(self, only: int = 0) -> None:
-        """End the requests under way that only read, or one of them: nobody waits for it. A change goes on."""
+        """End the requests under way that only read, or one: nobody waits for it. A change goes on."""
         for number, pid, operation in self._children.values():
             if operation in protocol.CONVERSED_OPS and only in (0, number):
                 os.kill(pid, signal.SIGTERM)
