@@ -65,7 +65,7 @@ def main() -> int:
         print(f"== {other}", flush=True)
         tests = [f"tests/{each}" for each in SLICE]
         return subprocess.run(
-            [made, "-m", "tests.suite", *tests, "-m", "not slow"], cwd=ROOT, check=False
+            [made, "-m", "tests.suite", *tests, "-m", "not slow", "-rs"], cwd=ROOT, check=False
         ).returncode
 
 
