@@ -173,6 +173,7 @@ WING_DOORS = {
     "simulator_memory": {"scheduler"},
     "simulator_plans": {"scheduler", "executor", "rules"},
     "simulator_probe": {"rules"},
+    "sweep_runs": {"scheduler"},
     "simulator_oracle": {"scheduler"},
     "replay": {"scheduler"},
     "recorded_snapshots": {"usecases"},

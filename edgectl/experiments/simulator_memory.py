@@ -17,6 +17,7 @@ from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Tasks
 from edgectl.scheduler.known_plan import KnownPlan
+from edgectl.scheduler.stay_limits import StayLimits
 
 # States of a kind, some 10 kB each, before a memory begins anew.
 _MAX_STATES = 5000
@@ -42,16 +43,20 @@ class KnownShares(NamedTuple):
     used: Mapping[str, HostUse]
 
 
-class KnownCycle(NamedTuple):
+@dataclass(slots=True, kw_only=True)
+class KnownCycle:
     """What a plan was decided from, the snapshot of it, and the steps by what was decided.
 
-    ``stands``: the steps, where no reading counts for them.
+    ``standing``: the steps, where no reading counts for them. ``kept``: those of the plan as long as the
+    readings stay within ``limits``.
     """
 
     plan: KnownPlan
     snapshot: Snapshot
-    steps: dict[Hashable, tuple[Step, ...]]
-    stands: list[tuple[Step, ...]]
+    limits: StayLimits | None
+    steps: dict[Hashable, tuple[Step, ...]] = field(default_factory=dict)
+    standing: tuple[Step, ...] | None = None
+    kept: tuple[Step, ...] | None = None
 
 
 @dataclass(slots=True, kw_only=True)

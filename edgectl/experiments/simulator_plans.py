@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated cycles of the manager: a probe, and a plan of the real scheduler and the real diff."""
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 
 from edgectl.executor.diff import diff_assignment
 from edgectl.experiments.simulator_memory import KnownCycle, SimMemory
@@ -10,9 +10,11 @@ from edgectl.experiments.simulator_probe import do_links_change, pass_probe, rea
 from edgectl.experiments.simulator_state import SimState
 from edgectl.model.assignment import Assignment, Reason
 from edgectl.model.plan import Step
+from edgectl.model.resource import CPU
 from edgectl.rules.measured_demand import WARM_UP_S
-from edgectl.scheduler.assign import assign, decide_plan, prepare_plan
-from edgectl.scheduler.known_plan import read_again, remember_plan
+from edgectl.scheduler.assign import PreparedPlan, assign, decide_plan, prepare_plan
+from edgectl.scheduler.known_plan import read_again, remember_plan, stays_within
+from edgectl.scheduler.stay_limits import find_stay_limits, keep_running_tasks
 
 # Of decisions for which it does not matter how much anything uses.
 _REASONS_WITHOUT_READINGS = (
@@ -57,39 +59,56 @@ def _plan_from_memory(state: SimState, memory: SimMemory) -> tuple[Step, ...]:
     """The plan of a state in which only readings and times can be others than when it was first seen."""
     key = _describe_cycle(state)
     known = memory.cycles.get(key)
-    if known is not None and known.stands:
+    if known is not None:
+        return _plan_again(state, known)
+    snapshot = simulate_probe(state)
+    prepared = prepare_plan(
+        state.inventory, state.tasks, snapshot, state.manager, state.policy, state.env.now, explain=False
+    )
+    plan = remember_plan(prepared)
+    if plan is None:
+        return diff_assignment(decide_plan(prepared, state.tasks), state.tasks, snapshot, state.manager)
+    known = KnownCycle(plan=plan, snapshot=snapshot, limits=find_stay_limits(prepared))
+    memory.add_cycle(key, known)
+    cpu = {host: sample.usage[CPU.name].used for host, sample in snapshot.hosts.items()}
+    return _keep_running_tasks(state, known, cpu) or _decide(state, known, prepared)
+
+
+def _plan_again(state: SimState, known: KnownCycle) -> tuple[Step, ...]:
+    if known.standing is not None:
         pass_probe(state)
-        return known.stands[0]
-    if known is None:
-        snapshot = simulate_probe(state)
-        prepared = prepare_plan(
-            state.inventory,
-            state.tasks,
-            snapshot,
-            state.manager,
-            state.policy,
-            state.env.now,
-            explain=False,
-        )
-        plan = remember_plan(prepared)
-        if plan is not None:
-            known = KnownCycle(plan=plan, snapshot=snapshot, steps={}, stands=[])
-            memory.add_cycle(key, known)
-    else:
-        snapshot = known.snapshot
-        started = {name: service.since for name, service in state.services.items()}
-        prepared = read_again(
-            known.plan, read_cpu(state), started, state.manager, state.policy, state.env.now
-        )
+        return known.standing
+    cpu = read_cpu(state)
+    kept = _keep_running_tasks(state, known, cpu)
+    if kept is not None:
+        return kept
+    started = {name: service.since for name, service in state.services.items()}
+    return _decide(
+        state, known, read_again(known.plan, cpu, started, state.manager, state.policy, state.env.now)
+    )
+
+
+def _keep_running_tasks(
+    state: SimState, known: KnownCycle, cpu: Mapping[str, float]
+) -> tuple[Step, ...] | None:
+    """The plan where these readings let no task leave its host; None where they may (ADR 123)."""
+    if known.limits is None or not stays_within(known.plan, known.limits, cpu, state.manager):
+        return None
+    if known.kept is None:
+        assignment = keep_running_tasks(known.plan.prepared)
+        known.kept = diff_assignment(assignment, state.tasks, known.snapshot, state.manager)
+    return known.kept
+
+
+def _decide(state: SimState, known: KnownCycle, prepared: PreparedPlan) -> tuple[Step, ...]:
     assignment = decide_plan(prepared, state.tasks)
     decided = _describe_decisions(assignment)
-    steps = known.steps.get(decided) if known is not None else None
+    steps = known.steps.get(decided)
     if steps is None:
-        steps = diff_assignment(assignment, state.tasks, snapshot, state.manager)
-        if known is not None:
-            known.steps[decided] = steps
-            if not _may_change(steps):
-                known.stands.append(steps)
+        steps = diff_assignment(assignment, state.tasks, known.snapshot, state.manager)
+        known.steps[decided] = steps
+        if not _may_change(steps):
+            known.standing = steps
     return steps
 
 

@@ -10,8 +10,10 @@ from edgectl.experiments.model.sweep import SchemeRuns, SweepWorld, WorldResult
 from edgectl.experiments.sequential_test import find_certain_winner
 from edgectl.experiments.simulator import simulate_mission
 from edgectl.experiments.simulator_memory import SimMemory
+from edgectl.scheduler.garbage import pause_collection
 
 
+@pause_collection()
 def simulate_world(world: SweepWorld) -> WorldResult:
     """The runs of all schemes. The same world gives the same result, wherever it is simulated."""
     runs: dict[str, list[SimRun]] = {scheme.name: [] for scheme in world.schemes}

@@ -5,7 +5,7 @@ Pure. A simulation makes thousands of them. What they are decided from is taken 
 same functions decide them.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from edgectl.dataclass import dataclass
@@ -14,10 +14,11 @@ from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
 from edgectl.model.resource import CPU
 from edgectl.scheduler.assign import PreparedPlan, select_first_placements
+from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.initial_state import InitialState, RunningTask, find_arrival
 from edgectl.scheduler.ledger import Ledger, compute_free_share, count_tasks
-from edgectl.scheduler.move_cost import collect_handoff_history
-from edgectl.scheduler.task_usage import TaskUsage
+from edgectl.scheduler.move_cost import MIN_DOWNTIME_SAMPLES, collect_handoff_history
+from edgectl.scheduler.stay_limits import StayLimits
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,8 +30,8 @@ class KnownPlan:
     """
 
     prepared: PreparedPlan
-    left: tuple[tuple[int, TaskUsage], ...]
-    reserved: tuple[tuple[int, TaskUsage], ...]
+    left: tuple[tuple[int, float], ...]
+    reserved: tuple[tuple[int, float], ...]
 
 
 def remember_plan(prepared: PreparedPlan) -> KnownPlan | None:
@@ -59,8 +60,8 @@ def _join_resident(state: InitialState) -> dict[str, RunningTask]:
     return {**state.held, **state.running}
 
 
-def _list_cpu(tasks: Iterable[RunningTask]) -> tuple[tuple[int, TaskUsage], ...]:
-    return tuple((there.place, TaskUsage(used={CPU.name: there.use.used[CPU.name]})) for there in tasks)
+def _list_cpu(tasks: Iterable[RunningTask]) -> tuple[tuple[int, float], ...]:
+    return tuple((there.place, there.use.used[CPU.name]) for there in tasks)
 
 
 def read_again(
@@ -111,14 +112,35 @@ def _take_seed(known: Policy, policy: Policy) -> Policy:
 def _measure_again(known: KnownPlan, used: Mapping[str, float]) -> Ledger:
     """Gamma with other CPU in use: measured, without what running tasks use, and with what they count for."""
     ledger = known.prepared.how.initial.ledger.copy()
-    fleet, row = ledger.fleet, [used[host.name] for host in ledger.fleet.places]
-    ledger.used[CPU.name] = row
-    ledger.free[CPU.name] = [
+    ledger.used[CPU.name] = row = _count_cpu(known, used)
+    ledger.free[CPU.name] = _list_free_shares(ledger.fleet, row)
+    return ledger
+
+
+def _count_cpu(known: KnownPlan, used: Mapping[str, float]) -> list[float]:
+    """Gamma of the CPU by place, by the same sums as the ledger makes them."""
+    row = [used[host.name] for host in known.prepared.how.context.fleet.places]
+    for place, amount in known.left:
+        row[place] = max(0.0, row[place] - amount)
+    for place, amount in known.reserved:
+        row[place] += amount
+    return row
+
+
+def _list_free_shares(fleet: Capacities, row: Sequence[float]) -> list[float]:
+    return [
         compute_free_share(capacity, amount)
         for capacity, amount in zip(fleet.usable[CPU.name], row, strict=True)
     ]
-    for place, use in known.left:
-        ledger.release(place, use)
-    for place, use in known.reserved:
-        ledger.charge(place, use)
-    return ledger
+
+
+def stays_within(
+    known: KnownPlan, limits: StayLimits, used: Mapping[str, float], manager: ManagerState
+) -> bool:
+    """Whether the plan that `read_again` makes of these readings leaves all tasks where they run.
+
+    False says nothing; so where moves have been measured, whose cost counts instead of the margin.
+    """
+    if any(len(seconds) >= MIN_DOWNTIME_SAMPLES for seconds in manager.downtimes.values()):
+        return False
+    return limits.hold(_list_free_shares(known.prepared.how.context.fleet, _count_cpu(known, used)))

@@ -292,17 +292,30 @@ def compute_resource_totals(
     fit.
     """
     rows = _list_resource_rows(ledger, shares, task)
-    weight = weights[NETWORK.name]
-    columns = zip(
-        ledger.weigh_free(weights), shares.of_weighted(task, weights), *rows[-1], strict=False
-    )  # the free rows go on to the robots
-    totals = [
-        offset + free - demanded + weight * (free_link - demanded_link)
-        for free, demanded, free_link, demanded_link in columns
-    ]
+    totals = _add_terms(ledger, shares, task, weights, rows[-1], offset)
     for edge in _find_infeasible_edges(rows):
         totals[edge] -= INFEASIBLE_PENALTY
     return totals
+
+
+def compute_unlimited_totals(
+    ledger: Ledger, shares: DemandShares, task: Task, weights: Weights
+) -> list[float]:
+    """The resource part of the total at every edge, whether the task fits there or not."""
+    return _add_terms(ledger, shares, task, weights, _find_link_rows(ledger, shares, task), 0.0)
+
+
+def _add_terms(
+    ledger: Ledger, shares: DemandShares, task: Task, weights: Weights, links: ResourceRows, offset: float
+) -> list[float]:
+    weight = weights[NETWORK.name]
+    columns = zip(
+        ledger.weigh_free(weights), shares.of_weighted(task, weights), *links, strict=False
+    )  # the free rows go on to the robots
+    return [
+        offset + free - demanded + weight * (free_link - demanded_link)
+        for free, demanded, free_link, demanded_link in columns
+    ]
 
 
 def _list_resource_rows(ledger: Ledger, shares: DemandShares, task: Task) -> list[ResourceRows]:
