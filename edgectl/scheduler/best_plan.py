@@ -5,7 +5,6 @@ Pure: the solver is given.
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
-from functools import partial
 from math import inf
 
 from edgectl.model.assignment import Certificate, Decision, Reason, Verdict
@@ -45,6 +44,7 @@ def find_best_plan(
     problem = build_problem(origin, everything, left_out)
     best = known.found
     value = value_plan(before, origin)
+    improved: set[frozenset[tuple[str, int]]] = set()
 
     def take(how: PlacementPass, places: Mapping[str, int]) -> None:
         nonlocal best, value
@@ -55,18 +55,20 @@ def find_best_plan(
 
     def settle(places: Mapping[str, int], target: int) -> float:
         how = withhold_tasks(whole, _withhold_unplaced_groups(whole, known, places))
-        for change in (dict, partial(_improve_newcomers, how, known.found, before)):
-            changed = change(places)
+        for improves in (False, True):
+            changed = _improve_newcomers(how, known.found, before, places) if improves else places
             if len({departure.item.name for departure in list_departures(problem, changed)}) <= MAX_DEPARTING:
                 take(how, changed)
+                improved.update([frozenset(places.items())] if improves else [])
             reached = value.moves if sum(value.placed) >= len(places) else inf
             if reached <= target:
                 break
         return reached
 
     optimum = find_optimum(problem, everything, solve, settle)
-    how = withhold_tasks(whole, _withhold_unplaced_groups(whole, known, optimum.places))
-    take(how, _improve_newcomers(how, known.found, before, optimum.places))
+    if frozenset(optimum.places.items()) not in improved:
+        how = withhold_tasks(whole, _withhold_unplaced_groups(whole, known, optimum.places))
+        take(how, _improve_newcomers(how, known.found, before, optimum.places))
     return best, certify(value, len(origin.placed.keys() | wanted - left_out), optimum, len(left_out))
 
 

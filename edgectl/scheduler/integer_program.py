@@ -49,12 +49,13 @@ class Solution:
 
     ``values``: of all variables, None without a solution. ``bound``: no solution has a greater objective
     (-inf: there is no solution, inf: nothing is known). ``timed_out``: it might have found more with more
-    time, so another run may.
+    time, so another run may. ``duals``: the price of each row, of programs without whole variables.
     """
 
     values: Sequence[float] | None
     bound: float
     timed_out: bool = False
+    duals: Sequence[float] | None = None
 
 
 # Solves a program within a share (0..1) of the time that it has left.

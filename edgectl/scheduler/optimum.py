@@ -5,6 +5,7 @@ moves; sum of utilities. Pure: the solver is given.
 
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from math import ceil, inf
 
@@ -18,6 +19,7 @@ from edgectl.scheduler.ledger import NO_FREE_SHARE
 from edgectl.scheduler.move_cost import HandoffHistory
 from edgectl.scheduler.packed_plan import build_search
 from edgectl.scheduler.packing import Item, Packing, Shares
+from edgectl.scheduler.pattern_program import solve_by_patterns
 from edgectl.scheduler.placement_model import (
     bound_alone,
     build_model,
@@ -316,7 +318,21 @@ def _solve_first_level(
     add_stability_rows(model, problem, departures)
     count_arrivals_apart(model)
     model.start_from(places)
-    return model, solve(model.program, _FIRST_SHARE)
+    costs = any(item.move_cost > 0.0 for item in problem.items)
+    known = solve_by_patterns(
+        model,
+        required,
+        lambda program: solve(program, _FIRST_SHARE),
+        rounded=set_objective is not count_moves or not costs,
+    )
+    if known is not None and not known.timed_out:
+        return model, known
+    if known is None:
+        return model, solve(model.program, _FIRST_SHARE)
+    if known.values is not None:
+        model.program.start = dict(enumerate(known.values))
+    solution = solve(model.program, _FIRST_SHARE)
+    return model, replace(solution, bound=min(solution.bound, known.bound))
 
 
 def _reduce_moves(

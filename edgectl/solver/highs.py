@@ -64,6 +64,7 @@ def solve_program(program: IntegerProgram, deadline_s: float) -> Solution:
         values=values,
         bound=found.objective_function_value if is_optimal else found.mip_dual_bound,
         timed_out=not is_optimal,
+        duals=None if any(program.whole) or not is_optimal else tuple(solver.getSolution().row_dual),
     )
 
 

@@ -24,7 +24,7 @@ from edgectl.usecases.plan_execution import (
 from edgectl.usecases.probe import probe_fleet
 from edgectl.usecases.record import record_plan
 
-# Window (s) of the second measurement of unattended runs: readings that vary by 10 % of a host move nothing.
+# Window (s) of the second measurement of unattended runs.
 RECHECK_WINDOW_S = 5.0
 # Moves that a reading which is off may cause.
 _MOVES_BY_LOAD = (Reason.GAIN, Reason.GAIN_OVER_COST, Reason.FORCED_INFEASIBLE, Reason.RELIEF)
@@ -47,7 +47,9 @@ def plan_and_apply(
 
 
 def _plan_with_recheck(fleet: Fleet, policy: Policy, options: ApplyOptions) -> Plan:
-    """A plan from a fresh probe; where it moves tasks because of load, from a longer one."""
+    """A plan from a fresh probe; where it moves tasks because of load, from a longer one that is averaged
+    into the samples of the last minutes.
+    """
     window = options.recheck_window
     probe = dataclasses.replace(options.probe or ProbeOptions(), probe_idle_links=True)
     plan = make_plan(fleet, policy, options=probe, recorded=window is None)
@@ -55,7 +57,10 @@ def _plan_with_recheck(fleet: Fleet, policy: Policy, options: ApplyOptions) -> P
         return plan
     if any(step.action is Action.MOVE and step.decision.reason in _MOVES_BY_LOAD for step in plan.steps):
         longer = dataclasses.replace(probe, window=window, timeout=probe.timeout + window)
-        plan = make_plan(fleet, policy, snapshot=probe_fleet(fleet, longer))
+        from edgectl.usecases.recent_loads import smooth_from_history
+
+        loads = smooth_from_history(fleet, probe_fleet(fleet, longer), until=plan.snapshot.taken_at)
+        plan = make_plan(fleet, policy, snapshot=loads)
     record_plan(fleet, plan)
     return plan
 
