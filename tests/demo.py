@@ -4,15 +4,22 @@
 Every printed command is run, in a fleet made by ``edgectl init``. Ends with an error if a step fails.
 """
 
+import contextlib
+import fcntl
 import json
 import os
+import pty
 import re
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 import tempfile
+import termios
+import textwrap
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,15 +55,34 @@ class Demo:
         if shown:
             print_line(f"\n$ edgectl {' '.join(words)}")
         directory = self.fleet if self.fleet.exists() else self.fleet.parent
-        with ForkedProcess(words, env=self.env, cwd=directory, stdout=subprocess.PIPE) as process:
-            out, _ = process.communicate()
-        if shown:
-            print_line(out.rstrip())
-        require(
-            process.returncode == code,
-            f"edgectl {' '.join(words)} ended with {process.returncode}, not {code}",
-        )
+        if shown and is_watched():
+            out, ended = self._run_on_terminal(words, directory)
+        else:
+            with ForkedProcess(words, env=self.env, cwd=directory, stdout=subprocess.PIPE) as process:
+                out, _ = process.communicate()
+            ended = process.returncode
+            if shown:
+                print_line(out.rstrip())
+        require(ended == code, f"edgectl {' '.join(words)} ended with {ended}, not {code}")
         return COLOUR.sub("", out)
+
+    def _run_on_terminal(self, words: Sequence[str], directory: Path) -> tuple[str, int]:
+        """Run it on a terminal as wide as this one, so that tables fit; its output, which is shown, and exit code."""
+        ours, theirs = pty.openpty()
+        size = os.get_terminal_size(sys.stdout.fileno())
+        attributes = termios.tcgetattr(theirs)
+        attributes[1] &= ~termios.OPOST  # carriage returns are added by the terminal that shows it
+        termios.tcsetattr(theirs, termios.TCSANOW, attributes)
+        fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", size.lines, size.columns, 0, 0))
+        with ForkedProcess(words, env=self.env, cwd=directory, stdout=theirs, stderr=theirs) as process:
+            os.close(theirs)
+            seen = b""
+            with contextlib.suppress(OSError):  # the program has ended, and so has its side of the terminal
+                while data := os.read(ours, 1 << 16):
+                    seen += data
+                    os.write(sys.stdout.fileno(), data)
+        os.close(ours)
+        return seen.decode(errors="replace"), process.returncode
 
     def places(self) -> dict[str, tuple[str, int]]:
         """Return host and pid of every live task."""
@@ -86,6 +112,18 @@ class Demo:
         return found
 
 
+def is_watched() -> bool:
+    """Whether someone looks at a terminal; a recording has one for standard output alone."""
+    return sys.stdout.isatty() and sys.stderr.isatty()
+
+
+def comment(text: str) -> None:
+    """Print what the demo says of itself; on a terminal no word is split."""
+    width = os.get_terminal_size(sys.stdout.fileno()).columns if is_watched() else 0
+    for line in textwrap.wrap(text, max(20, width - 2)) if width else [text]:
+        print_line(f"# {line}")
+
+
 def print_line(text: str) -> None:
     """Print at once, so that the output keeps its order."""
     sys.stdout.write(text + "\n")
@@ -105,8 +143,8 @@ def read_resident_bytes(pid: int) -> int:
 
 def start_fleet(demo: Demo) -> None:
     """Create the files and start the tasks."""
-    print_line(
-        "# A fleet to try: three simulated edges, three simulated robots, the tasks of the paper's scenario 2."
+    comment(
+        "A fleet to try: three simulated edges, three simulated robots, the tasks of the paper's scenario 2."
     )
     demo.run("init", str(demo.fleet))
     demo.run("validate")
@@ -127,15 +165,16 @@ def grow_map(demo: Demo) -> str:
     task = "detection-robot1"
     edge = places[task][0]
     slam = f"slam-robot{edge.removeprefix('edge')}"
-    print_line(
-        f"\n# The map of {slam} grows: it now really holds 440 of the 512 MiB of {edge}. It is pinned; its neighbour {task} must move."
+    print_line("")
+    comment(
+        f"The map of {slam} grows: it now really holds 440 of the 512 MiB of {edge}. It is pinned; its neighbour {task} must move."
     )
     print_line(f"$ kill -USR1 {places[slam][1]}")
     os.kill(places[slam][1], signal.SIGUSR1)
     deadline = time.monotonic() + GROWS_S
     while read_resident_bytes(places[slam][1]) < GROWN_BYTES and time.monotonic() < deadline:
         time.sleep(0.1)
-    print_line(f"# What a task uses counts when it has run {WARM_UP_S:g} s.")
+    comment(f"What a task uses counts when it has run {WARM_UP_S:g} s.")
     while demo.run_time(slam) < WARM_UP_S and time.monotonic() < deadline:
         time.sleep(0.5)
     return task

@@ -129,7 +129,7 @@ class ApplySession:
     def _print_plan(self, plan: Plan) -> None:
         from edgectl.views.plan import PlanView
 
-        console.print_view(PlanView(plan, fleet=self._fleet, now=time.time()), self._output)
+        console.print_view(PlanView(plan, now=time.time()), self._output)
 
 
 def _explain_exit_code(plan: Plan, code: ExitCode) -> None:
@@ -189,5 +189,5 @@ def print_requests(fleet: Fleet, plan: Plan, output: OutputFormat) -> ExitCode:
     from edgectl.views.dry_run import RequestsView
 
     check_output_format(output, RequestsView.formats)
-    console.print_view(RequestsView(list_remote_commands(fleet, plan)), output)
+    console.print_view(RequestsView(list_remote_commands(fleet, plan)), output, fleet=fleet.inventory.fleet)
     return ExitCode.DONE

@@ -71,13 +71,7 @@ def plan_command(
         from edgectl.usecases.history import find_last_carries
 
         carried = find_last_carries(fleet)
-    view = PlanView(
-        result,
-        loaded.tasks,
-        carried,
-        fleet=fleet.inventory.fleet,
-        now=None if snapshot else fleet.clock(),
-    )
+    view = PlanView(result, loaded.tasks, carried, now=None if snapshot else fleet.clock())
     if out is not None:
         save_file(out, render_view(view, OutputFormat.JSON))
         console.print_message(f"saved {out}; apply it with: edgectl apply {out}")
@@ -114,7 +108,7 @@ def _watch_plans(
             plan = choose(make_plan(fleet, how, snapshot=snapshot, recorded=False))
             decided = [(step.task, step.action, step.decision.host, step.stop) for step in plan.steps]
             if decided != before:
-                yield PlanView(plan, fleet=fleet.inventory.fleet, now=fleet.clock())
+                yield PlanView(plan, now=fleet.clock())
             before = decided
 
     with catch_stop_signals(parse_every_option(every)) as end:

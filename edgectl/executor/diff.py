@@ -27,6 +27,7 @@ def plan_from_assignment(
     return Plan(
         created_at=snapshot.taken_at,
         policy=assignment.policy,
+        fleet=inventory.fleet,
         inventory_digest=inventory.digest,
         tasks_digest=tasks.digest,
         snapshot=replace(snapshot, manager=manager),

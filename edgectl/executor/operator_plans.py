@@ -127,6 +127,7 @@ def _build_operator_plan(
     return Plan(
         created_at=snapshot.taken_at,
         policy=tasks.policy,
+        fleet=inventory.fleet,
         inventory_digest=inventory.digest,
         tasks_digest=tasks.digest,
         snapshot=snapshot,

@@ -58,7 +58,7 @@ def perform_phase(act: StepRun, planned: PlannedPhase, variables: Mapping[str, s
     """
     match planned.phase:
         case Phase.REACH:
-            _send(act.run, planned.requests[0])
+            _reach(act.run, planned.requests[0])
         case Phase.NEEDS:
             _perform_need(act, planned)
         case Phase.PULL:
@@ -100,6 +100,14 @@ def resolve_variables(act: StepRun, task: Task, host_name: str) -> dict[str, str
 def _send(run: RunContext, request: PlannedRequest, **values: object) -> Request:
     """Send a request with ``values`` in place of what stood for them."""
     return run.ask(request.host, {**request.body, **values}, timeout=request.timeout_s + run.options.call_s)
+
+
+def _reach(run: RunContext, request: PlannedRequest) -> None:
+    """Ask whether the host is there; what an old instance is told there is not left out."""
+    if request.body["op"] == protocol.OP_STATUS:
+        run.answering.reach(request.host.name, lambda: _send(run, request))
+    else:
+        _send(run, request)
 
 
 def _stop_task(act: StepRun, planned: PlannedPhase) -> None:

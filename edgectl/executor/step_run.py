@@ -23,6 +23,7 @@ from edgectl.transport.agent_client import call_agent, stream_agent_chunks
 from edgectl.transport.base import Session, Transport
 from edgectl.transport.fleet_lease import FleetLease
 from edgectl.transport.held_call import hold_agent_call
+from edgectl.transport.silence import AnsweringHosts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,6 +44,7 @@ class RunContext:
     options: RunOptions
     report_progress: Callable[[ProgressEvent], None]
     lease: FleetLease | None = None
+    answering: AnsweringHosts = field(default_factory=AnsweringHosts)
 
     @property
     def hosts(self) -> Mapping[str, Host]:

@@ -82,10 +82,11 @@ class Plan:
     ``tasks_left_alone``: running tasks of task files that were not given, by name with their file ("" where
     it is not known). ``overuses``: tasks that use more than they declare. ``shortages``: what the fleet
     lacks, whatever the placement. ``certificate``: how far the plan may be from the best one, where that was
-    asked for.
+    asked for. ``fleet``: its name; "" in a plan that an edgectl before the key has saved.
     """
 
     created_at: Instant
+    fleet: str = field(default="", metadata=in_document(always=True))
     policy: Policy = field(metadata=in_document(inline=True))
     inventory_digest: str
     tasks_digest: str

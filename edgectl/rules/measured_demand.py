@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measured demand (ADR 0025): classes of hosts, sufficiency of the history, and the demand until then."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
 from math import log2
 
 from edgectl.model.demand import Demand, Quantity
@@ -17,6 +17,9 @@ MIN_SAMPLES, MIN_SPAN_S = 60, 300.0
 # The label that puts hosts into one class by the operator's word.
 CLASS_LABEL = "class"
 _GIB = 2.0**30
+# Of the demands that managers share; one that is off by less than a tenth is not shared anew.
+MAX_SHARED, _OFF = 4096, 0.1
+MeasuredDemands = Mapping[tuple[str, str], MeasuredDemand]
 
 
 def classify_host(host: Host, cores: float, total_bytes: float) -> str:
@@ -87,3 +90,36 @@ def estimate_demand(demand: Demand, found: Iterable[MeasuredDemand]) -> Demand:
 
 def _is_declared(stated: Quantity | None) -> bool:
     return stated is not None and (stated.value > 0 or not stated.measured)
+
+
+def prefer_own_demands(own: MeasuredDemands, shared: MeasuredDemands) -> MeasuredDemands:
+    """What one manager has measured, with what another one did where its own samples are not enough."""
+    return {**own, **{key: found for key, found in shared.items() if not _is_enough(own.get(key))}}
+
+
+def select_shared_demands(
+    shared: MeasuredDemands, measured: MeasuredDemands, tasks: Collection[str]
+) -> MeasuredDemands:
+    """``shared`` brought up to date with ``measured``: with what is new, of another specification or off by a
+    tenth.
+
+    At most `MAX_SHARED` of them, those of ``tasks`` first, in order of names.
+    """
+    newer = {
+        key: found
+        for key, found in measured.items()
+        if _is_enough(found) and _differs(shared.get(key), found)
+    }
+    every = {**shared, **newer}
+    order = sorted(every, key=lambda key: (key[0] not in tasks, key))
+    return {key: every[key] for key in sorted(order[:MAX_SHARED])}
+
+
+def _is_enough(found: MeasuredDemand | None) -> bool:
+    return found is not None and has_enough_samples(found)
+
+
+def _differs(old: MeasuredDemand | None, new: MeasuredDemand) -> bool:
+    if old is None or old.spec_hash != new.spec_hash or old.used.keys() != new.used.keys():
+        return True
+    return any(abs(new.used[name] - value) > _OFF * value for name, value in old.used.items())

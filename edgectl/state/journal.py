@@ -30,18 +30,27 @@ _ROTATE_BYTES = 1 << 20
 
 @dataclass(slots=True)
 class Journal:
-    """The open journal of one fleet; appending is thread-safe. Open it while holding the fleet's lock."""
+    """The open journal of one fleet; appending is thread-safe. Open it while holding the fleet's lock.
+
+    ``on_append`` is told of each entry once it is on disk, before ``append`` returns.
+    """
 
     path: Path
     log: JournalSummary
     clock: Callable[[], float]
     _descriptor: int
     _last: str
+    on_append: Callable[[JournalEntry], None] = lambda _entry: None
     _guard: threading.Lock = field(default_factory=threading.Lock)
 
     @classmethod
     def open(
-        cls, fleet_dir: Path, *, clock: Callable[[], float] = time.time, warn: Warn = ignore_warning
+        cls,
+        fleet_dir: Path,
+        *,
+        clock: Callable[[], float] = time.time,
+        warn: Warn = ignore_warning,
+        on_append: Callable[[JournalEntry], None] = lambda _entry: None,
     ) -> Self:
         """Open for appending. A torn last line is cut off and recorded; a damaged file is set aside and a new
         one started.
@@ -67,6 +76,7 @@ class Journal:
             clock=clock,
             _descriptor=open_private_file(path, os.O_WRONLY | os.O_APPEND),
             _last=log.last,
+            on_append=on_append,
         )
         if log.torn:
             os.ftruncate(journal._descriptor, log.size)
@@ -99,6 +109,7 @@ class Journal:
                 ) from error
             self._last = digest
         hit_failpoint(f"{event} fsynced")
+        self.on_append(body)
 
     def close(self) -> None:
         """Close the file."""

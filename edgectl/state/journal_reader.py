@@ -22,7 +22,8 @@ class JournalSummary:
     part.
 
     ``revision``: number of the newest apply, 0 if none. ``begun``: ids of the plans that this file records as
-    applied; ``before``: those of the earlier files. ``generations``: the highest generation that a start of
+    applied; ``known``: these, those of the earlier files and those of other machines, in order.
+    ``generations``: the highest generation that a start of
     each task may have used: that of its intent, and one more for a restored instance. ``located``: host and
     generation of each task that was or may have been started since the manager's state was last saved.
     ``size``: bytes of valid lines. ``torn``: bytes of an unfinished last line. ``broken``: number of the
@@ -31,7 +32,7 @@ class JournalSummary:
 
     revision: int = 0
     begun: set[str] = field(default_factory=set)
-    before: set[str] = field(default_factory=set)
+    known: dict[str, None] = field(default_factory=dict)
     generations: dict[str, int] = field(default_factory=dict)
     located: dict[str, tuple[str, int]] = field(default_factory=dict)
     last: str = GENESIS_HASH
@@ -46,7 +47,7 @@ class JournalSummary:
     @property
     def applied(self) -> set[str]:
         """Ids of all plans recorded as applied, earlier files included."""
-        return self.begun | self.before
+        return set(self.known)
 
     @property
     def unfinished(self) -> tuple[str, ...]:
@@ -78,8 +79,9 @@ class JournalSummary:
             self.revision = max(self.revision, revision)
         if event == "begin":
             self.begun.add(str(entry.get("plan")))
-        elif event == "continued" and isinstance(names := entry.get("applied"), list):
-            self.before.update(map(str, names))
+            self.known[str(entry.get("plan"))] = None
+        elif event in ("continued", "handover"):
+            self._take_earlier(entry)
         elif event in ("intent", "copy"):
             self._take_intent(event, task, entry.get("generation"))
         elif event == "phase":
@@ -92,6 +94,22 @@ class JournalSummary:
             self._unfinished.clear()
         if event in ("placed", "recovered"):
             self.located.clear()
+
+    def _take_earlier(self, entry: JournalEntry) -> None:
+        """The plans of earlier files or other machines, put last. With a ``handover`` also what another
+        machine has left open, in place of what this one had.
+        """
+        for name in _read_names(entry.get("applied")):
+            self.known.pop(name, None)
+            self.known[name] = None
+        if entry.get("event") == "handover":
+            spooled = entry.get("spooled")
+            self._unfinished = dict.fromkeys(_read_names(entry.get("unfinished")))
+            self._held = dict.fromkeys(_read_names(entry.get("held")))
+            self._spooled = {
+                str(task): dict.fromkeys(_read_names(hosts))
+                for task, hosts in (spooled.items() if isinstance(spooled, dict) else ())
+            }
 
     def _take_intent(self, event: object, task: str, generation: object) -> None:
         """An action, or an inactive copy: nothing is unfinished where that is interrupted."""
@@ -115,6 +133,10 @@ class JournalSummary:
         started = self.located.pop(task, None)
         if started is not None and isinstance(located, str):
             self.located[task] = (located, started[1])
+
+
+def _read_names(value: object) -> tuple[str, ...]:
+    return tuple(map(str, value)) if isinstance(value, list) else ()
 
 
 def read_journal(path: Path, take: Callable[[JournalEntry], None] | None = None) -> JournalSummary:

@@ -26,6 +26,8 @@ from edgectl.state.manager_state import (
     save_manager_state,
     select_saved_fields,
 )
+from edgectl.state.open_work import OpenWork
+from edgectl.state.shared_demands import load_shared_demands, save_shared_demands
 from edgectl.state.uptime import Uptime
 
 _COPY_FILE_NAME = "coordination.json"
@@ -45,26 +47,28 @@ class PendingStart:
 class SharedState:
     """What etcd keeps of a fleet.
 
-    ``manager``: without heartbeats and measured demands; with fences and orphans. ``ignored``: instances
-    whose end no longer counts. ``starts``: by task, those that may have been sent since ``manager`` was
-    saved.
+    ``manager``: without heartbeats; with fences, orphans and the measured demands that are shared.
+    ``ignored``: instances whose end no longer counts. ``starts``: by task, those that may have been sent
+    since ``manager`` was saved. ``journal``: what the last holder's leaves; an older edgectl shares none.
     """
 
     manager: ManagerState = field(default=ManagerState(), metadata=in_document(required=True))
     ignored: tuple[str, ...] = ()
     starts: Mapping[str, PendingStart] = field(default_factory=dict)
+    journal: OpenWork | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LocalCopy:
     """Which state of etcd the files of this machine come from: ``revision`` of the fleet's name ``id`` there
-    (0: none), ``digest`` of its content, and its ``starts``.
+    (0: none), ``digest`` of its content, its ``starts`` and ``journal``.
     """
 
     id: str = ""
     revision: int = 0
     digest: str = ""
     starts: Mapping[str, PendingStart] = field(default_factory=dict)
+    journal: OpenWork = OpenWork()
 
 
 _STATE_KIND = DocumentKind(name="state of a fleet in etcd", version=1, model=SharedState)
@@ -128,15 +132,21 @@ def save_local_copy(fleet_dir: Path, copy: LocalCopy) -> None:
 
 
 def collect_shared_state(
-    fleet_dir: Path, starts: Mapping[str, PendingStart], warn: Warn = ignore_warning
+    fleet_dir: Path, starts: Mapping[str, PendingStart], journal: OpenWork, warn: Warn = ignore_warning
 ) -> SharedState:
-    """The state of this machine as it is shared, with ``starts``."""
+    """The state of this machine as it is shared, with ``starts`` and ``journal``."""
     marks = load_heartbeats(fleet_dir, warn)
     manager = select_saved_fields(load_manager_state(fleet_dir, warn))
     return SharedState(
-        manager=replace(manager, fenced=marks.fenced, orphans=marks.orphans),
+        manager=replace(
+            manager,
+            fenced=marks.fenced,
+            orphans=marks.orphans,
+            measured=load_shared_demands(fleet_dir, warn),
+        ),
         ignored=load_ignored_instances(fleet_dir, warn),
         starts=starts,
+        journal=journal,
     )
 
 
@@ -149,6 +159,8 @@ def install_shared_state(fleet_dir: Path, state: SharedState, hosts: Iterable[st
     """
     manager = state.manager
     places = {placement.host for placement in manager.placements.values()}
+    if manager.measured != load_shared_demands(fleet_dir):
+        save_shared_demands(fleet_dir, manager.measured)
     save_manager_state(fleet_dir, replace(manager, orphans={}))
     save_ignored_instances(fleet_dir, state.ignored)
     replace_marks(

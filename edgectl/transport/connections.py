@@ -9,7 +9,7 @@ import contextlib
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import field
 from functools import partial
@@ -162,7 +162,7 @@ class SessionPool:
     ) -> None:
         """``converse``: an agent stays on each host while requests that read follow each other closely."""
         self._transport = transport
-        self._converse = converse
+        self._converse = self._converses = converse
         self._forget_s = forget_s
         self._clock = clock
         self._staying: dict[str, set[str]] = {}
@@ -213,6 +213,24 @@ class SessionPool:
         with self._lock:
             return _Connection(share_agent(session, host, self.address, self._staying))
 
+    def expect_requests(self, hosts: Iterable[Host]) -> None:
+        """Begin an agent that stays on each connected one of ``hosts``: many requests follow, also changes.
+
+        After a new login each request is a call again.
+        """
+        from edgectl.transport.conversation import ConversingSession, share_agent
+
+        self._converses = True
+        for host in hosts:
+            with self._lock:
+                kept = self._open.get(host.name)
+                if kept is None or kept.lost:
+                    continue
+                if not isinstance(kept.session, ConversingSession):
+                    kept.session = share_agent(kept.session, host, self.address, self._staying)
+            if isinstance(kept.session, ConversingSession):
+                kept.session.expect_requests(host)
+
     @contextlib.contextmanager
     def _open_channel(self, kept: _Connection) -> Iterator[None]:
         """One channel of a connection, which a ConnectError or DeadlineError marks as lost."""
@@ -241,7 +259,7 @@ class SessionPool:
         everything = [kept.session for kept in (*self._open.values(), *self._lost)]
         for session in everything:
             session.close()
-        if self._converse:
+        if self._converses:
             from edgectl.transport.conversation import ConversingSession
 
             for session in everything:

@@ -3,7 +3,8 @@
 
 Only operations that may be carried out twice without harm go this way (`protocol.CONVERSED_OPS`). Whatever is
 wrong with the conversation, such a request gets a call of its own, as all others do; so nothing depends on
-it, and nobody waits until it is open.
+it, and nobody waits until it is open. Only where many requests are expected (ADR 172) it begins at once, the
+first of them wait for it, and it carries `protocol.CONVERSED_CHANGES` too.
 """
 
 import contextlib
@@ -18,7 +19,7 @@ from dataclasses import dataclass, field
 from typing import Self
 
 from edgectl.agent.link import frames, protocol
-from edgectl.errors import DeadlineError, HostError, ReplyError
+from edgectl.errors import ConnectError, DeadlineError, HostError, ReplyError
 from edgectl.model.inventory import Connection, Host
 from edgectl.transport.agent_client import (
     build_agent_command,
@@ -35,6 +36,8 @@ KEEP_S = 6.0
 MIN_IN_ROW = 4
 # From the beginning of a conversation to the first word of the agent.
 HELLO_S = 10.0
+# For so long from its beginning the requests that are expected wait for it.
+PATIENCE_S = 3.0
 # From the beginning of one to that of the next: an agent that ends again and again costs more than it saves.
 REST_S = 10.0
 # Of an end of the conversation that waits for others.
@@ -49,12 +52,15 @@ _MAX_ON_MACHINE, _MAX_PROGRAMS = 8, 64
 
 @dataclass(slots=True, eq=False)
 class _Question:
-    """A request under way. ``whole``: its process has ended well, so ``output`` is all of it."""
+    """A request under way. ``whole``: its process has ended well, so ``output`` is all of it; ``refused``: it
+    was not begun.
+    """
 
     limit: int
     output: bytearray = field(default_factory=bytearray)
     ended: threading.Event = field(default_factory=threading.Event)
     whole: bool = False
+    refused: bool = False
 
     def add(self, data: bytes) -> None:
         """Add a piece; beyond the limit it ends, and a call of its own says so."""
@@ -80,7 +86,7 @@ class Conversation:
     def __init__(self, session: ConversableSession, greeting: Mapping[str, object]) -> None:
         self.is_over, self.is_useless = False, True
         self._session, self._greeting = session, greeting
-        self._open = False
+        self._open, self._decided = False, threading.Event()
         self._exchange: OpenExchange | None = None
         self._questions: dict[int, _Question] = {}
         self._numbers = itertools.count(1)
@@ -90,13 +96,18 @@ class Conversation:
         self._thread = threading.Thread(target=self._run, name="edgectl-converse", daemon=True)
         self._thread.start()
 
-    def ask(self, packet: bytes, *, timeout: float, limit: int) -> bytes | None:
+    def await_open(self, seconds: float) -> None:
+        """Wait, at most so long, until it is open or over."""
+        self._decided.wait(seconds)
+
+    def ask(self, packet: bytes, *, timeout: float, limit: int, changes: bool = False) -> bytes | None:
         """The output of one request; None where it needs a call of its own.
 
         ``packet``: as of `build_packet`, without the programs.
 
         Raises:
             DeadlineError: no reply within ``timeout`` seconds.
+            ConnectError: nobody knows whether a request that ``changes`` something was carried out.
         """
         question, deadline = _Question(limit), time.monotonic() + timeout
         with self._lock:
@@ -114,6 +125,8 @@ class Conversation:
             with self._lock:
                 del self._questions[number]
                 self._used_at = time.monotonic()
+        if changes and not question.whole and not question.refused:
+            raise ConnectError("the agent ended before it had replied")
         return bytes(question.output) if question.whole else None
 
     def give_way(self) -> None:
@@ -126,6 +139,7 @@ class Conversation:
         with self._lock:
             exchange, self._exchange = self._exchange, None
             self._open, self.is_over = False, True
+            self._decided.set()
             questions = list(self._questions.values())
         for question in questions:
             question.end(whole=False)
@@ -182,6 +196,7 @@ class Conversation:
             if not self.is_over:
                 self._exchange, self._open, self.is_useless = exchange, True, False
                 self._used_at = time.monotonic()
+                self._decided.set()
         return rest
 
     def _listen(self, exchange: OpenExchange, data: bytes) -> None:
@@ -218,7 +233,8 @@ class Conversation:
         if word == frames.OUTPUT:
             question.add(body)
             return
-        self._refused = self._refused + 1 if word == frames.REFUSED else 0
+        question.refused = word == frames.REFUSED
+        self._refused = self._refused + 1 if question.refused else 0
         question.end(whole=word == frames.END and body == b"0")
         if self._refused >= _MAX_REFUSED:
             self.give_way()
@@ -249,7 +265,7 @@ class ConversingSession:
         self._session = session
         self._lock = threading.Lock()
         self._conversation: Conversation | None = None
-        self._closed = False
+        self._closed = self._expecting = False
         self._asked_at = self._begun_at = -math.inf
         self._in_row = 0
 
@@ -258,16 +274,31 @@ class ConversingSession:
         """As the connection."""
         return self._session.python
 
+    def expect_requests(self, host: Host) -> None:
+        """Begin a conversation at once: many requests follow, also such that change something."""
+        with self._lock:
+            self._expecting = True
+            found = self._conversation
+            if self._closed or (found is not None and (not found.is_over or found.is_useless)):
+                return
+            self._begun_at = time.monotonic()
+            self._conversation = Conversation(self._session, _build_greeting(host.fleet, host.name))
+
     def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
         """As ``Session.run``."""
-        packet = _find_packet(stdin) if command == build_agent_command(self.python) else None
-        if packet is None:
+        packet, changes = (
+            _find_packet(stdin) if command == build_agent_command(self.python) else (None, False)
+        )
+        if packet is None or (changes and not self._expecting):
             return self._session.run(command, stdin, timeout=timeout, limit=limit)
         deadline = time.monotonic() + timeout
         try:
             conversation = self._find_conversation(packet)
-            if conversation is not None:
-                output = conversation.ask(packet, timeout=timeout, limit=limit)
+            if conversation is not None and self._expecting:
+                conversation.await_open(min(timeout, self._begun_at + PATIENCE_S - time.monotonic()))
+            left = deadline - time.monotonic()
+            if conversation is not None and left > 0:
+                output = conversation.ask(packet, timeout=left, limit=limit, changes=changes)
                 if output is not None:
                     return Reply(stdout=output, stderr=b"", status=0)
             left = deadline - time.monotonic()
@@ -316,7 +347,8 @@ class ConversingSession:
             if self._closed or self._in_row < MIN_IN_ROW or now - self._begun_at < REST_S:
                 return None
             self._begun_at = now
-            self._conversation = Conversation(self._session, _build_greeting(packet))
+            asked = json.loads(packet.partition(b"\n")[2])
+            self._conversation = Conversation(self._session, _build_greeting(asked["fleet"], asked["host"]))
         return None
 
 
@@ -341,8 +373,10 @@ def share_agent(
     return ConversingSession(session)
 
 
-def _find_packet(stdin: bytes) -> bytes | None:
-    """The input of a call (`build_packet`) without its programs, if a conversation may carry it."""
+def _find_packet(stdin: bytes) -> tuple[bytes | None, bool]:
+    """The input of a call (`build_packet`) without its programs, if a conversation may carry it, and whether
+    it changes something.
+    """
     try:
         for _ in range(_PROGRAM_COUNT):
             size, _, rest = stdin.partition(b"\n")
@@ -351,13 +385,16 @@ def _find_packet(stdin: bytes) -> bytes | None:
         _, _, length, agent_length, _, _, operation = head.decode("ascii").split()
         whole = (int(length), int(agent_length)) == (len(body), 0)
     except ValueError:
-        return None
-    if not whole or operation not in protocol.CONVERSED_OPS or len(stdin) > frames.MAX_FRAME_BYTES:
-        return None
-    return stdin
+        return None, False
+    changes = operation in protocol.CONVERSED_CHANGES
+    if (
+        not (whole and (changes or operation in protocol.CONVERSED_OPS))
+        or len(stdin) > frames.MAX_FRAME_BYTES
+    ):
+        return None, False
+    return stdin, changes
 
 
-def _build_greeting(packet: bytes) -> dict[str, object]:
-    """The request for a conversation, by the manager and for the host of this one."""
-    request = json.loads(packet.partition(b"\n")[2])
-    return {"op": protocol.OP_CONVERSE, "fleet": request["fleet"], "host": request["host"]}
+def _build_greeting(fleet: str, host: str) -> dict[str, object]:
+    """The request for a conversation, by the manager of this fleet."""
+    return {"op": protocol.OP_CONVERSE, "fleet": fleet, "host": host}

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory of one run for hosts that let a deadline pass: the rest of the run does not wait for them again."""
+"""Memory of one run for hosts that let a deadline pass, which the rest of it does not wait for again, and for
+those that have just answered.
+"""
 
 import contextlib
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import field
@@ -15,6 +18,8 @@ from edgectl.transport.connections import guard_session
 
 # A connection that fails after this part of its deadline was not refused, but not answered.
 _UNANSWERED_SHARE = 0.9
+# Seconds for which a host that has answered counts as one that answers.
+_FRESH_S = 1.0
 
 
 @dataclass(slots=True, eq=False)
@@ -23,6 +28,21 @@ class SilentHosts:
 
     ever: dict[str, HostError] = field(default_factory=dict)
     in_recovery: dict[str, HostError] = field(default_factory=dict)
+
+
+@dataclass(slots=True, eq=False)
+class AnsweringHosts:
+    """When each host has last said that it is there: actions that begin together ask it once."""
+
+    _at: dict[str, float] = field(default_factory=dict)
+    _locks: dict[str, threading.Lock] = field(default_factory=dict)
+
+    def reach(self, host: str, ask: Callable[[], object]) -> None:
+        """``ask`` the host, unless it has just answered another action; what that raises passes through."""
+        with self._locks.setdefault(host, threading.Lock()):
+            if time.monotonic() - self._at.get(host, -_FRESH_S) >= _FRESH_S:
+                ask()
+                self._at[host] = time.monotonic()
 
 
 class SilenceTransport:

@@ -120,9 +120,15 @@ class SshSession:
         self.close()
 
     def check(self, channel: paramiko.Channel) -> None:
-        """Raise ConnectError for a channel without an exit status because the whole connection ended."""
-        if channel.exit_status == -1 and not self.transport.is_active():
+        """Raise why a channel has no exit status, where it is the end of the whole connection, or a command
+        to which the server did not agree.
+        """
+        if channel.exit_status != -1:
+            return
+        if not self.transport.is_active():
             raise ConnectError("the connection was lost", hint="try again; the host may have restarted")
+        if not channel.event_ready:
+            raise paramiko.SSHException("the server refused to run a command")
 
     @contextlib.contextmanager
     def translate_errors(self, seconds: float) -> Iterator[None]:
@@ -247,7 +253,7 @@ def get_most_bytes(limit: int) -> int:
 def _start_exchange(channel: paramiko.Channel, command: str, stdin: bytes, seconds: float) -> None:
     """Run ``command``, write what it reads first, and leave its input open."""
     channel.settimeout(seconds)
-    channel.exec_command(command)
+    _send_command(channel, command)
     _feed_input(channel, stdin, last=False)
 
 
@@ -257,8 +263,26 @@ def _start_command(channel: paramiko.Channel, command: str, stdin: bytes, second
     A program that ends before it has read all is no error, as in a pipe.
     """
     channel.settimeout(seconds)
-    channel.exec_command(command)
+    _send_command(channel, command)
     _feed_input(channel, stdin, last=True)
+
+
+def _send_command(channel: paramiko.Channel, command: str) -> None:
+    """Ask the server to run ``command``, and go on: its input need not wait until the server agrees, which
+    saves a way there and back.
+
+    A server that refuses closes the channel (`SshSession.check`). A paramiko without this method to wait
+    waits.
+    """
+    channel._wait_for_event = _wait_for_nothing  # type: ignore[attr-defined] # noqa: SLF001 - see above
+    try:
+        channel.exec_command(command)
+    finally:
+        del channel._wait_for_event  # type: ignore[attr-defined] # noqa: SLF001
+
+
+def _wait_for_nothing() -> None:
+    """In place of the wait until the server agrees."""
 
 
 def _feed_input(channel: paramiko.Channel, data: bytes, *, last: bool) -> None:

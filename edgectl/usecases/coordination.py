@@ -1,19 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coordination of the managers of a fleet by etcd: the lease that one of them holds, and the state that they
-share (docs/adr/0080, 0081). Without ``coordination`` in the inventory nothing of this is done.
+share (docs/adr/0080, 0081, 0176, 0177). Without ``coordination`` in the inventory nothing of this is done.
 """
 
 import contextlib
+import dataclasses
 import secrets
+import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from edgectl.errors import CoordinationError, EdgectlError, LockBusyError, StateError, WatchedError
 from edgectl.model.plan import Step
+from edgectl.rules.measured_demand import MeasuredDemands
 from edgectl.state.failpoints import hit_failpoint
+from edgectl.state.journal_reader import JournalEntry
 from edgectl.state.lock import FleetLock, describe_manager
 from edgectl.state.manager_identity import find_manager_id, load_manager_id
+from edgectl.state.open_work import (
+    OpenWork,
+    add_announcement,
+    collect_open_work,
+    has_to_be_shared,
+    take_over_work,
+)
+from edgectl.state.shared_demands import save_shared_demands
 from edgectl.state.shared_state import (
     LocalCopy,
     PendingStart,
@@ -134,6 +146,8 @@ def install_newer_state(fleet: Fleet, keys: "FleetKeys") -> bool:
         return True
     state = decode_shared_state(keys.state)
     digest = compute_state_digest(state)
+    if state.journal is not None:
+        take_over_work(fleet.state, state.journal, known.journal, fleet.clock, fleet.warn)
     if not copy.id:
         state = add_own_places(state, fleet.state, fleet.warn)
     install_shared_state(fleet.state, state, fleet.inventory.hosts, fleet.uptime())
@@ -144,15 +158,22 @@ def install_newer_state(fleet: Fleet, keys: "FleetKeys") -> bool:
             revision=keys.state_revision,
             digest=digest,
             starts=state.starts,
+            journal=state.journal or OpenWork(),
         ),
     )
     return True
 
 
-def share_state(fleet: Fleet, lease: Term | None, starts: Mapping[str, PendingStart] | None = None) -> None:
+def share_state(
+    fleet: Fleet,
+    lease: Term | None,
+    starts: Mapping[str, PendingStart] | None = None,
+    journal: OpenWork | None = None,
+) -> None:
     """Save the state of this machine in etcd, if it differs from what is there.
 
-    ``starts``: those that may be sent from now on; None: as they were.
+    ``starts``: those that may be sent from now on; None: as they were. ``journal``: what a run that has begun
+    may leave; None: what the journal of this machine leaves now.
 
     Raises:
         CoordinationError: etcd does not answer, or another manager has the fleet.
@@ -161,22 +182,30 @@ def share_state(fleet: Fleet, lease: Term | None, starts: Mapping[str, PendingSt
     if lease is None:
         return
     copy = load_local_copy(fleet.state, fleet.warn)
-    state = collect_shared_state(fleet.state, copy.starts if starts is None else starts, fleet.warn)
+    starts = copy.starts if starts is None else starts
+    journal = collect_open_work(fleet.state) if journal is None else journal
+    state = collect_shared_state(fleet.state, starts, journal, fleet.warn)
     digest = compute_state_digest(state)
     if digest != copy.digest:
         revision = lease.save_state(encode_shared_state(state))
         hit_failpoint("state saved in etcd")
         save_local_copy(
             fleet.state,
-            LocalCopy(id=copy.id, revision=revision, digest=digest, starts=state.starts),
+            LocalCopy(id=copy.id, revision=revision, digest=digest, starts=starts, journal=journal),
         )
 
 
 def announce_starts(
-    fleet: Fleet, lease: Term | None, steps: tuple[Step, ...], generations: Mapping[str, int]
+    fleet: Fleet,
+    lease: Term | None,
+    steps: tuple[Step, ...],
+    generations: Mapping[str, int],
+    *,
+    plan_id: str,
+    revision: int,
 ) -> None:
-    """Save what is about to be started before a host is touched: whoever takes the fleet over holds these
-    tasks while their hosts are silent.
+    """Save what is about to be changed before a host is touched: whoever takes the fleet over holds what may
+    have been started while its host is silent, and does not apply the plan again.
 
     Raises:
         CoordinationError: etcd does not answer, or another manager has the fleet.
@@ -188,15 +217,44 @@ def announce_starts(
         for step in steps
         if step.action.changes and step.decision.host is not None
     }
-    share_state(fleet, lease, {**load_local_copy(fleet.state, fleet.warn).starts, **new})
+    changed = (step.task for step in steps if step.action.changes)
+    work = add_announcement(collect_open_work(fleet.state), revision, plan_id, changed)
+    share_state(fleet, lease, {**load_local_copy(fleet.state, fleet.warn).starts, **new}, work)
 
 
-def share_results(fleet: Fleet, lease: Term | None) -> None:
-    """Save the state after a change. Where that fails, what was done stays: the announced starts still
-    stand in etcd, and this machine saves its state with its next change.
+def build_journal_listener(fleet: Fleet, lease: Term | None) -> Callable[[JournalEntry], None]:
+    """What a journal tells of its entries, from any thread: it saves in etcd that a robot is about to be put
+    on hold or was released, and which hosts keep a state.
+
+    Where etcd does not answer, the run goes on as long as its lease lasts.
+    """
+    guard = threading.Lock()
+
+    def share(entry: JournalEntry) -> None:
+        if lease is None or not has_to_be_shared(entry) or lease.is_over():
+            return
+        with guard, contextlib.suppress(EdgectlError):
+            announced = load_local_copy(fleet.state).journal.unfinished
+            left = dataclasses.replace(collect_open_work(fleet.state), unfinished=announced)
+            share_state(fleet, lease, journal=left)
+
+    return share
+
+
+def share_results(
+    fleet: Fleet,
+    lease: Term | None,
+    starts: Mapping[str, PendingStart] | None = None,
+    demands: MeasuredDemands | None = None,
+) -> None:
+    """Save the state after a change, with the ``starts`` of which nobody knows what became of them (None:
+    all), and the measured ``demands`` (None: as they were). Where that fails, what was done stays: the
+    announced starts still stand in etcd, and this machine saves its state with its next change.
     """
     try:
-        share_state(fleet, lease, {})
+        if demands is not None:
+            save_shared_demands(fleet.state, demands)
+        share_state(fleet, lease, starts)
     except EdgectlError as error:
         fleet.warn(f"{error.message}: what this run changed is saved on this machine only; apply again")
 

@@ -5,15 +5,24 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from edgectl.model.inventory import Inventory
-from edgectl.model.manager_state import MeasuredDemand
 from edgectl.model.point import HostPoint
 from edgectl.model.predicted_latency import ServiceTime
 from edgectl.model.profile import ClassProfile, ClassService, UsageProfile
 from edgectl.model.resource import CPU, MEMORY
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task
-from edgectl.rules.measured_demand import WARM_UP_S, classify_host, follows_history, has_enough_samples
+from edgectl.rules.measured_demand import (
+    WARM_UP_S,
+    MeasuredDemands,
+    classify_host,
+    follows_history,
+    has_enough_samples,
+    is_of_current_spec,
+    prefer_own_demands,
+    select_shared_demands,
+)
 from edgectl.scheduler.profile import build_usage_profile, compute_percentile, measured_demand_from_profile
+from edgectl.state.shared_demands import load_shared_demands
 from edgectl.usecases.fleet import Fleet
 
 if TYPE_CHECKING:
@@ -26,15 +35,39 @@ LOW_LOAD = 0.10
 _HISTORY_FILE = "history.db"
 
 
-def load_measured_demands(fleet: Fleet, snapshot: Snapshot) -> Mapping[tuple[str, str], MeasuredDemand]:
+def load_measured_demands(fleet: Fleet, snapshot: Snapshot) -> MeasuredDemands:
     """Measured demand by task and class of hosts, of the tasks whose demand follows it. Nothing is read where
-    there are none.
+    there are none. With ``coordination`` also what another machine has measured.
     """
     tasks = [task for task in fleet.tasks.tasks.values() if task.managed and follows_history(task.demand)]
-    if not tasks or not (fleet.state / _HISTORY_FILE).exists():
+    if not tasks:
+        return {}
+    own = _load_own_demands(fleet, tasks, snapshot)
+    if fleet.inventory.coordination is None:
+        return own
+    known = {task.name: task for task in tasks}
+    return prefer_own_demands(
+        own,
+        {
+            key: found
+            for key, found in load_shared_demands(fleet.state, fleet.warn).items()
+            if key[0] in known and is_of_current_spec(known[key[0]], found)
+        },
+    )
+
+
+def find_news_of_demands(fleet: Fleet, measured: MeasuredDemands) -> MeasuredDemands | None:
+    """The demands to share once ``measured`` are known; None where those that are shared will do."""
+    shared = load_shared_demands(fleet.state, fleet.warn)
+    selected = select_shared_demands(shared, measured, fleet.tasks.tasks)
+    return None if selected == shared else selected
+
+
+def _load_own_demands(fleet: Fleet, tasks: Iterable[Task], snapshot: Snapshot) -> MeasuredDemands:
+    if not (fleet.state / _HISTORY_FILE).exists():
         return {}
 
-    def read(store: "Store") -> Mapping[tuple[str, str], MeasuredDemand]:
+    def read(store: "Store") -> MeasuredDemands:
         classes = _group_hosts_by_class(
             _classify_answering_hosts(fleet.inventory, snapshot)
             | _classify_by_last_sample(fleet.inventory, snapshot, store)

@@ -8,29 +8,39 @@ from dataclasses import field
 
 from edgectl.dataclass import dataclass
 from edgectl.errors import StateError, UsageError
+from edgectl.executor.dependencies import list_stop_hosts
 from edgectl.executor.manager_state_update import compute_next_generations, update_manager_state
 from edgectl.executor.run_options import RunIdentity, RunOptions
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.gateway.task_lookup import find_doubled_instances
+from edgectl.model.inventory import Host
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan
 from edgectl.model.progress import ProgressListener, ignore_progress
 from edgectl.model.result import Outcome, Results
+from edgectl.model.snapshot import Snapshot
 from edgectl.rules.ros_nodes import list_lost_nodes
 from edgectl.state.heartbeats import record_orphans
 from edgectl.state.journal import JOURNAL_FILE_NAME, Journal
 from edgectl.state.journal_reader import JournalSummary, read_journal_cached
 from edgectl.state.lock import FleetLock, describe_manager, get_user_name
 from edgectl.state.manager_state import load_manager_state, save_manager_state, select_saved_fields
+from edgectl.state.shared_state import PendingStart
 from edgectl.transport.connections import SessionPool
-from edgectl.transport.fleet_lease import WatchNote
+from edgectl.transport.fleet_lease import Term, WatchNote
 from edgectl.transport.silence import SilenceTransport, SilentHosts
 from edgectl.units import format_duration
-from edgectl.usecases.coordination import announce_starts, load_pending_starts, share_results
+from edgectl.usecases.coordination import (
+    announce_starts,
+    build_journal_listener,
+    load_pending_starts,
+    share_results,
+)
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.fleet_lease import compute_files_digest, hold_fleet
 from edgectl.usecases.heartbeat import track_heartbeats
 from edgectl.usecases.lost_nodes import forget_lost_nodes
+from edgectl.usecases.measured_demand import find_news_of_demands
 from edgectl.usecases.plan import compute_plan_id, keep_whole_plan
 from edgectl.usecases.record import record_results
 
@@ -123,16 +133,21 @@ def confirm_and_execute(
         _save_manager_state(fleet, plan, manager, _NO_RESULTS, {})
         _recover_interrupted_apply(fleet, cut_off, silent)
         return ApplyResult(plan=plan)
+    if isinstance(fleet.transport, SessionPool):
+        fleet.transport.expect_requests(_list_changed_hosts(fleet, plan))
     # Before anything is announced. An apply that changes nothing, as most of cron do, needs none of it.
     from edgectl.executor.run import run_plan
 
     used = compute_next_generations(
         manager, plan.snapshot, plan.steps, fleet.clock(), _list_used_generations(fleet, cut_off)
     )
-    announce_starts(fleet, fleet.lease.term if fleet.lease is not None else None, plan.steps, used)
-    with Journal.open(fleet.state, clock=fleet.clock, warn=fleet.warn) as journal:
+    plan_id, term = name or compute_plan_id(plan), _get_term(fleet)
+    announce_starts(fleet, term, plan.steps, used, plan_id=plan_id, revision=cut_off.revision + 1)
+    with Journal.open(
+        fleet.state, clock=fleet.clock, warn=fleet.warn, on_append=build_journal_listener(fleet, term)
+    ) as journal:
         identity = RunIdentity(
-            plan_id=name or compute_plan_id(plan),
+            plan_id=plan_id,
             revision=journal.log.revision + 1,
             generations=used,
             verb=verb,
@@ -162,6 +177,17 @@ def confirm_and_execute(
     if fleet.lease is not None and fleet.lease.watched_by is not None and verb != "watch":
         fleet.warn(_describe_watch(fleet, fleet.lease.watched_by))
     return ApplyResult(plan=plan, results=results, doubled=_look_for_doubled(fleet, plan, silent))
+
+
+def _list_changed_hosts(fleet: Fleet, plan: Plan) -> list[Host]:
+    """The hosts on which a step starts or stops something."""
+    named = {
+        name
+        for step in plan.steps
+        if step.action.changes or step.stop
+        for name in (step.decision.host, *list_stop_hosts(step))
+    }
+    return [host for host in fleet.inventory.hosts.values() if host.name in named]
 
 
 def check_former_fleet(fleet: Fleet, plan: Plan) -> None:
@@ -232,6 +258,8 @@ def has_nothing_to_do(fleet: Fleet, plan: Plan) -> bool:
     )
     return (
         select_saved_fields(after) == load_manager_state(fleet.state)
+        and _list_open_starts(fleet, plan.snapshot, after) == load_pending_starts(fleet)
+        and (_get_term(fleet) is None or find_news_of_demands(fleet, after.measured) is None)
         and not any(list_lost_nodes(plan.snapshot, fleet.inventory, ()))
         and read_journal_cached(fleet.state / JOURNAL_FILE_NAME).sound
     )
@@ -269,7 +297,10 @@ def _recover_interrupted_apply(fleet: Fleet, log: JournalSummary, silent: Silent
     from edgectl.executor.hold_release import release_hold
     from edgectl.executor.state_removal import drop_left_state
 
-    with Journal.open(fleet.state, clock=fleet.clock, warn=fleet.warn) as journal:
+    term = _get_term(fleet)
+    with Journal.open(
+        fleet.state, clock=fleet.clock, warn=fleet.warn, on_append=build_journal_listener(fleet, term)
+    ) as journal:
         places = load_manager_state(fleet.state).placements
         for task in journal.log.held:
             located = places[task].host if task in places else None
@@ -292,6 +323,11 @@ def _recover_interrupted_apply(fleet: Fleet, log: JournalSummary, silent: Silent
             if dropped:
                 journal.append("dropped", task=task)
         journal.append("recovered", tasks=list(log.unfinished))
+    share_results(fleet, term)
+
+
+def _get_term(fleet: Fleet) -> Term | None:
+    return fleet.lease.term if fleet.lease is not None else None
 
 
 def _save_manager_state(
@@ -301,6 +337,22 @@ def _save_manager_state(
     after = update_manager_state(manager, plan, fleet.tasks, results, used, fleet.clock())
     if select_saved_fields(after) != load_manager_state(fleet.state):
         save_manager_state(fleet.state, after)
-    if fleet.lease is not None:
-        share_results(fleet, fleet.lease.term)
+    term = _get_term(fleet)
+    if term is not None:
+        share_results(
+            fleet,
+            term,
+            _list_open_starts(fleet, plan.snapshot, after),
+            find_news_of_demands(fleet, manager.measured),
+        )
     return after
+
+
+def _list_open_starts(fleet: Fleet, snapshot: Snapshot, after: ManagerState) -> dict[str, PendingStart]:
+    """The announced starts whose host has not answered since, and which no later one has replaced."""
+    return {
+        task: start
+        for task, start in load_pending_starts(fleet).items()
+        if start.host not in snapshot.hosts or not snapshot.hosts[start.host].ok
+        if task not in after.placements or after.placements[task].generation < start.generation
+    }

@@ -2,6 +2,7 @@
 """Probe of the fleet: hosts, links and tasks."""
 
 import dataclasses
+from collections.abc import Mapping
 
 from edgectl.gateway import host_probe
 from edgectl.gateway.host_probe import ProbeOptions
@@ -118,9 +119,17 @@ def _add_journaled_starts(fleet: Fleet, manager: ManagerState, snapshot: Snapsho
     now or show that very start.
 
     An edgectl that was killed before it saved its state may have started them, here or on another machine;
-    without them such a task would be started a second time elsewhere.
+    without them such a task would be started a second time elsewhere. What etcd records was announced before
+    the old instance was touched: while both hosts are silent, the task counts as where it was.
     """
-    begun = {task: (start.host, start.generation) for task, start in load_pending_starts(fleet).items()}
+    pending = load_pending_starts(fleet)
+    unsure = {
+        task
+        for task, start in pending.items()
+        if _is_silent(snapshot, start.host) and _may_be_where_it_was(manager, snapshot, task)
+    }
+    begun = {task: (start.host, start.generation) for task, start in pending.items() if task not in unsure}
+    manager = _add_contacts(manager, {task: pending[task].host for task in unsure})
     for task, (host, generation) in read_journal_cached(fleet.state / JOURNAL_FILE_NAME).located.items():
         if task not in begun or begun[task][1] < generation:
             begun[task] = (host, generation)
@@ -131,6 +140,31 @@ def _add_journaled_starts(fleet: Fleet, manager: ManagerState, snapshot: Snapsho
         if task not in manager.placements or manager.placements[task].generation < generation
     }
     return dataclasses.replace(manager, placements={**manager.placements, **started}) if started else manager
+
+
+def _is_silent(snapshot: Snapshot, host: str) -> bool:
+    return host not in snapshot.hosts or not snapshot.hosts[host].ok
+
+
+def _may_be_where_it_was(manager: ManagerState, snapshot: Snapshot, task: str) -> bool:
+    placement = manager.placements.get(task)
+    return (
+        placement is not None
+        and _is_silent(snapshot, placement.host)
+        and placement.host not in manager.fenced
+    )
+
+
+def _add_contacts(manager: ManagerState, also: Mapping[str, str]) -> ManagerState:
+    """``manager``, where the silence of a task's place counts no earlier than that of the host where the task
+    may be ``also``.
+    """
+    contact = dict(manager.contact)
+    for task, host in also.items():
+        place = manager.placements[task].host
+        if place in contact and host in contact:
+            contact[place] = max(contact[place], contact[host])
+    return dataclasses.replace(manager, contact=contact) if also else manager
 
 
 def _may_have_started(host: HostSample, task: str, generation: int) -> bool:

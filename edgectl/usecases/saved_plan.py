@@ -31,7 +31,10 @@ def list_file_conflicts(plan: Plan, inventory: Inventory, tasks: Tasks) -> tuple
     """
     found = []
     if plan.inventory_digest != inventory.digest:
-        found.append("the inventory changed")
+        other = plan.fleet and plan.fleet != inventory.fleet
+        found.append(
+            f"it is of fleet {plan.fleet}, this is {inventory.fleet}" if other else "the inventory changed"
+        )
     if plan.tasks_digest != tasks.digest:
         found.append("the task files changed")
     probed = {host.name for host in inventory.hosts.values() if host.probe}

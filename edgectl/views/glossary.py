@@ -133,7 +133,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "error": "cause of a failure",
         "experiment": "name of an experiment",
         "fingerprint": "SHA256 fingerprint of a host key",
-        "fleet": "name of a fleet; empty: none has adopted the task",
+        "fleet": "name of a fleet; empty: none, or none is recorded",
         "hint": "remedy",
         "hold": "command that holds a robot during a handoff",
         "host": "name of a host; null: none",

@@ -70,14 +70,12 @@ class PlanView(View):
         tasks: Tasks | None = None,
         carried: "LastMoves | None" = None,
         *,
-        fleet: str = "",
         now: float | None = None,
     ) -> None:
-        """``tasks`` state what moves take along; ``carried``: by task, the last move that did. ``fleet``: its
-        name, for the header; ``now``: time by which the age of the snapshot is shown.
+        """``tasks`` state what moves take along; ``carried``: by task, the last move that did. ``now``: time
+        by which the age of the snapshot is shown.
         """
-        self._plan, self._tasks, self._carried = plan, tasks, carried or {}
-        self._fleet, self._now = fleet, now
+        self._plan, self._tasks, self._carried, self._now = plan, tasks, carried or {}, now
 
     def table(self, look: RenderOptions = PLAIN) -> str:
         """The changes with their reasons, the load that is expected afterwards, and a line that counts.
@@ -124,7 +122,7 @@ class PlanView(View):
         return render_taken_along(self._plan, self._tasks, self._carried, look)
 
     def _render_header(self, look: RenderOptions = PLAIN) -> str:
-        return render_plan_header(self._plan, look, fleet=self._fleet, now=self._now)
+        return render_plan_header(self._plan, look, now=self._now)
 
     def notes(self) -> Sequence[str]:
         """Notes on hosts, deferred tasks and demands."""
@@ -162,7 +160,7 @@ class PlanView(View):
         summary = render_plan_summary(self._plan).strip()
         return (
             f"{PLAN_COMMENT_MARKER}\n**{summary}**\n\n{_MARKDOWN_HEAD}{rows}{notes}{folded}"
-            f"\n{self._render_header()}"
+            f"\n{escape_markdown(self._render_header().rstrip())}\n"
         )
 
 
@@ -301,16 +299,14 @@ def escape_markdown(text: str) -> str:
     return _LIVE_TEXT.sub(rf"\g<0>{_INVISIBLE_BREAK}", escaped)
 
 
-def render_plan_header(
-    value: Plan, look: RenderOptions = PLAIN, *, fleet: str = "", now: float | None = None
-) -> str:
+def render_plan_header(value: Plan, look: RenderOptions = PLAIN, *, now: float | None = None) -> str:
     """One line: fleet, policy unless it is the usual one, weights, and age of the snapshot.
 
     ``now`` (s since 1970); None: the date of the snapshot, which is the same whenever the plan is shown.
     """
     age = None if now is None else max(0.0, now - value.created_at)
     parts = [
-        *([f"fleet {fleet}"] if fleet else []),
+        *([f"fleet {escape_unprintable(value.fleet)}"] if value.fleet else []),
         *([f"policy {value.policy.name}"] if value.policy.name is not PolicyName.UTILITY else []),
         f"weights {_format_weights(value)}",
         f"snapshot {format_duration(age)} ago"

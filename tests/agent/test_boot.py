@@ -21,6 +21,7 @@ import pytest
 
 import edgectl
 from edgectl.agent.link import boot, stub
+from edgectl.errors import ReplyError
 from edgectl.transport import agent_client as protocol
 from edgectl.transport import enter_program
 from edgectl.transport.agent_archive import build_agent_zipapp, compute_agent_hash, read_program
@@ -82,7 +83,7 @@ def test_sent_once_then_one_small_round_trip(host: AgentHost) -> None:
     host.ask("status", task=None)
     host.ask("status", task=None)
     assert len(trips.sizes) == 3
-    assert trips.sizes[1] > len(build_agent_zipapp())
+    assert trips.sizes[1] > 100_000
     assert trips.sizes[0] == trips.sizes[2] < 8_000
     assert hashlib.sha256(kept(host).read_bytes()).hexdigest() == compute_agent_hash()
 
@@ -141,6 +142,24 @@ def test_runs_from_memory_where_nothing_can_be_kept(host: AgentHost, tmp_path: P
     )
     assert b'"op": "probe"' in done.stdout, done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_agent_travels_packed(host: AgentHost) -> None:
+    """A first contact over 256 kbit/s takes 7 s."""
+    sizes: list[int] = []
+    run = host.session.run
+
+    def run_damaged(command: str, stdin: bytes, *, timeout: float, limit: int) -> Reply:
+        sizes.append(len(stdin))
+        sent = stdin[:-1] + b"~" if sizes[-1] > 100_000 else stdin
+        return run(command, sent, timeout=timeout, limit=limit)
+
+    host.session.run = run_damaged  # type: ignore[method-assign]
+    with pytest.raises(ReplyError, match="arrived damaged"):
+        host.ask("status", task=None)
+    host.session.run = run  # type: ignore[method-assign]
+    assert host.ask("status", task=None)["tasks"] == {}
+    assert 100_000 < sizes[1] < 225_000
 
 
 def find_code(host: AgentHost, operation: str = "status") -> Path:

@@ -22,7 +22,7 @@ from edgectl.agent.measure import proc
 from edgectl.errors import RefusedError
 from edgectl.transport.agent_archive import build_agent_zipapp
 from edgectl.transport.agent_client import build_agent_command, build_packet, find_payload, split_frame
-from tests.agent.conftest import AgentHost, eventually, is_running
+from tests.agent.conftest import AgentHost, a_spec, eventually, is_running
 from tests.pace import patience
 
 MARKER = "ab" * 16
@@ -250,15 +250,14 @@ def test_its_end_by_a_signal_ends_neither_tasks_nor_what_is_asked_next(staying: 
 def test_what_it_may_not_carry_is_refused_and_not_begun(staying: StayingAgent) -> None:
     host = staying.host
     host.start("slam", "exec sleep 600")
-    stop: dict[str, Any] = {"task": "slam", "instance": None, "generation": None, "stop": None}
-    staying.ask(1, "stop", **stop)
+    staying.ask(1, "forget", task="slam", master="", nodes={})
     status = strip_programs(build_packet(staying.document("status", task=None), MARKER, DEADLINE_S))
     head, _, body = status.partition(b"\n")
     words = head.split()
     changed = {
         2: [words[0], b"0" * 64, *words[2:]],
         3: [*words[:5], b"other-key", words[6]],
-        4: [*words[:6], b"stop"],
+        4: [*words[:6], b"takeover"],
         5: [*words[:2], b"9999", *words[3:]],
         6: words[:6],
     }
@@ -272,6 +271,58 @@ def test_what_it_may_not_carry_is_refused_and_not_begun(staying: StayingAgent) -
     assert host.entry("slam") is not None
     staying.ask(9, "status", task=None)
     assert staying.reply(9)["tasks"].keys() == {"slam"}
+
+
+def keep_code_of_changes(host: AgentHost) -> None:
+    host.start("before", "exec sleep 600")
+    host.stop("before")
+
+
+def test_it_starts_tasks_as_a_call_does(staying: StayingAgent) -> None:
+    """Twice the same start is one; what is started needs neither the agent nor more memory than by a call."""
+    host = staying.host
+    keep_code_of_changes(host)
+    spec = a_spec("trap '' HUP TERM; echo up; while :; do sleep 600; done", runtime="process")
+    # The first one on a host has compiled its own code, which takes memory.
+    with open_agent(host) as another:
+        for number in (1, 2):
+            another.ask(number, "start", task="slam", instance="i1", generation=1, spec=spec)
+        states = {another.reply(number)["state"] for number in (1, 2)}
+        pid = another.process.pid
+    assert states == {"started", "already-running"}
+    host.start("called", "exec sleep 600")
+    host.until("slam", "running")
+    by_agent, by_call = (host.supervisor(task) for task in ("slam", "called"))
+    assert os.getsid(by_agent) not in (pid, os.getsid(0))
+    assert read_rss_kib(by_agent) < read_rss_kib(by_call) + 1024
+    assert sorted(read_open_files(by_agent)) == sorted(read_open_files(by_call))
+
+
+def read_rss_kib(pid: int) -> int:
+    status = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
+    return int(status.partition("VmRSS:")[2].split()[0])
+
+
+def read_open_files(pid: int) -> list[str]:
+    """What a supervisor has open; the numbers of pipes, and the paths within the directory of its task, left out."""
+    links = [os.readlink(each) for each in Path(f"/proc/{pid}/fd").iterdir()]  # noqa: PTH115 - of links that lead nowhere
+    return [each.partition(":")[0] if ":[" in each else Path(each).name for each in links]
+
+
+@pytest.mark.parametrize("end", [end_by_silence, end_by_input])
+def test_a_change_under_way_outlives_it(staying: StayingAgent, end: Callable[[StayingAgent], None]) -> None:
+    host = staying.host
+    keep_code_of_changes(host)
+    host.start("slam", "trap '' TERM; echo up; while :; do sleep 1; done")
+    eventually(lambda: "up" in host.ask("logs", task="slam", tail=1)["text"])
+    grace = {"signal": "TERM", "grace_s": 2.0 * frames.SILENCE_S, "preset": None}
+    staying.ask(1, "stop", task="slam", instance=None, generation=None, stop=grace)
+    children = eventually(staying.children)
+    end(staying)
+    staying.process.wait(DEADLINE_S)
+    assert all(is_running(pid) for pid in children)
+    eventually(lambda: not any(is_running(pid) for pid in children))
+    assert host.entry("slam") is None
 
 
 def test_code_that_is_not_kept_yet_is_left_to_a_call_of_its_own(staying: StayingAgent) -> None:

@@ -14,6 +14,7 @@ from edgectl.errors import StateError
 from edgectl.formats.document import Document
 from tests.browser.chromium import Browser, run_browser
 from tests.cli.inprocess import edgectl
+from tests.pace import patience
 from tests.web.servers import run_page_server
 
 ROOT = Path(__file__).parents[2]
@@ -128,7 +129,7 @@ def sum_cpu_ms(
 
 
 def test_a_large_fleet_is_painted_and_updated_in_time(browser: Browser) -> None:
-    """In CPU time of the page's thread, which other programs of the machine do not lengthen."""
+    """In CPU time of the page's thread, which other programs of the machine do not lengthen, and in the browser's own time."""
     rounds = itertools.count()
     with run_page_server(lambda: a_large_document(next(rounds)), every=1.0) as (made, feed):
         feed.wait_newer(0, 60)
@@ -160,11 +161,17 @@ def test_a_large_fleet_is_painted_and_updated_in_time(browser: Browser) -> None:
             and (event["pid"], event["tid"]) == thread
             and any(event["ts"] <= begin["ts"] <= event["ts"] + event.get("dur", 0) for begin in begins[1:])
         )
-        print(f"values painted after {painted:.0f} ms of CPU, {(painted_us - loaded) / 1000:.0f} ms of time")
+        values_ms = (painted_us - loaded) / 1000
+        first_ms = browser.evaluate(
+            "performance.getEntriesByType('paint').find(each => each.name === 'first-contentful-paint').startTime"
+        )
+        print(f"first contentful paint after {first_ms:.0f} ms of time")
+        print(f"values painted after {painted:.0f} ms of CPU, {values_ms:.0f} ms of time")
         print(f"scripting of {len(begins) - 1} updates: {scripts[0]:.0f} to {scripts[-1]:.0f} ms of CPU")
         SHOTS.mkdir(parents=True, exist_ok=True)
         browser.save_screenshot(SHOTS / "large-1280.png")
         assert 0 < painted < 500
+        assert 0 < first_ms < patience(500)
         assert 0 < scripts[len(scripts) // 2] < 50
         browser.wait_for(f"document.querySelectorAll('#tasks tbody tr').length === {TASKS}")
         assert browser.evaluate("document.querySelectorAll('#links tbody tr').length") == 40

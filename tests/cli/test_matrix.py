@@ -291,6 +291,7 @@ def test_a_verb_in_every_form_for_people_and_programs(verb: str, fleet: tuple[Pa
 
 def test_a_table_names_its_fleet_on_a_terminal_alone(fleet: tuple[Path, dict[str, str]]) -> None:
     folder, env = fleet
+    assert edgectl(["plan", "--out", "next.plan"], folder, env).code == 0
     lost = (f"diff --without edge{number}" for number in (3, 2, 1))
     for words in (
         next(words for words in lost if edgectl(words.split(), folder, env).out),
@@ -311,6 +312,9 @@ def test_a_table_names_its_fleet_on_a_terminal_alone(fleet: tuple[Path, dict[str
         "doctor",
         "profilers status",
         "counters show",
+        "show next.plan",
+        "apply --dry-run --target big --best-effort",
+        "stop zeta --dry-run",
     ):
         seen = show(words.split(), folder, {**env, "NO_COLOR": "1"}, 80)
         first = seen.out.splitlines()[:3]

@@ -72,6 +72,31 @@ def test_a_saved_plan_is_shown_as_it_was_printed(run: Run, site: Path) -> None:
     assert (site / "next.plan").read_text() == run(*PLAN, "-o", "json").out
 
 
+def test_a_saved_plan_names_its_fleet_and_another_fleet_refuses_it(run: Run, site: Path) -> None:
+    run(*PLAN, "--out", "next.plan")
+    inventory = site / "inventories" / "local.yaml"
+    name = json.loads((site / "next.plan").read_text())["fleet"]
+    assert f"fleet: {name}\n" in inventory.read_text()
+    for form in ("table", "wide"):
+        assert run("show", "next.plan", "-o", form).out.startswith(f"Fleet {name}, weights ")
+    assert f"\nFleet {name}, weights " in run("show", "next.plan", "-o", "markdown").out
+    inventory.write_text(inventory.read_text().replace(f"fleet: {name}\n", "fleet: hall\n"))
+    assert run("apply", "next.plan", "--dry-run") == (
+        75,
+        "",
+        (
+            f"error: saved plan is stale; since it was made:\n  it is of fleet {name}, this is hall\n"
+            "hint: make a new plan: edgectl plan --out PLAN\n"
+        ),
+    )
+    raw = json.loads((site / "next.plan").read_text())
+    del raw["fleet"]
+    (site / "next.plan").write_text(json.dumps(raw))
+    assert run("show", "next.plan").out.startswith("Weights "), "as an earlier release saved it"
+    (site / "next.plan").write_text(json.dumps(raw | {"fleet": "\x1b[2J"}))
+    assert "\x1b" not in run("show", "next.plan").out
+
+
 def test_a_plan_that_cannot_be_saved_is_an_error(run: Run, site: Path) -> None:
     said = run(*PLAN, "--out", "no/such/dir/next.plan")
     assert (said.code, said.out) == (1, "")

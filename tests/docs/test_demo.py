@@ -2,6 +2,7 @@
 """``make demo`` does what it says, in time, and leaves nothing behind."""
 
 import os
+import re
 import subprocess
 import sys
 import time
@@ -13,7 +14,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from tests.demo import LIMIT_S
-from tests.docs.recording import read_cast
+from tests.docs.recording import read_cast, record_program
 from tests.docs.screens import CAST, outline_demo
 from tests.views.fixtures import ROOT
 
@@ -55,3 +56,22 @@ def test_the_demo(tmp_path: Path) -> None:
     assert "# No task runs, and no process of this fleet is left.\n" in done.stdout
     shown = outline_demo(read_cast(CAST).text)
     assert shown == outline_demo(done.stdout), "run: .venv/bin/python -m tests.docs.screens --demo"
+
+
+def test_its_tables_are_as_wide_as_the_terminal(tmp_path: Path) -> None:
+    script = (
+        "import sys; from pathlib import Path; from tests.demo import *; demo = Demo(Path(sys.argv[1]));"
+        "demo.run('init', str(demo.fleet)); comment('word ' * 30); demo.run('probe')"
+    )
+    seen = record_program(
+        [sys.executable, "-c", script, str(tmp_path)], cwd=ROOT, env=dict(os.environ), width=80
+    )
+    # Each picture of the progress is a line of its own; the names of files are as long as they are.
+    plain = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", seen.text.replace("\r", "\n")).partition("next: ")[2]
+    lines = plain.splitlines()[1:]
+    assert seen.code == 0, seen.text
+    assert max(map(len, lines)) <= 80
+    assert [line for line in lines if line.startswith("# word word")], lines
+    assert sum(line.startswith("Fleet demo-") for line in lines) == 1, (
+        "edgectl knows that it is shown on a terminal"
+    )

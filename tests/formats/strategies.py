@@ -284,6 +284,7 @@ policies = st.builds(
 plans = st.builds(
     Plan,
     created_at=instants,
+    fleet=texts,
     policy=policies,
     inventory_digest=texts,
     tasks_digest=texts,

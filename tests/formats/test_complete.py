@@ -184,7 +184,7 @@ STEP = Step(
 )
 EXPECTED = ExpectedLoad(used=Usage(cpu=1.0, memory=2.0), links={"r": 3.0})
 PLAN = Plan(
-    created_at=1.5, policy=POLICY, inventory_digest="a", tasks_digest="b", snapshot=SNAPSHOT, settled=False, steps=(STEP,),
+    created_at=1.5, fleet="lab", policy=POLICY, inventory_digest="a", tasks_digest="b", snapshot=SNAPSHOT, settled=False, steps=(STEP,),
     expected={"h": EXPECTED}, frozen=True, unseen=("u",), demand_spreads=(UNEVEN,), tasks_left_alone={"o": "f"}, overuses=(OVERUSE,),
     shortages=(SHORTAGE,), certificate=CERTIFICATE,
 )  # fmt: skip

@@ -512,6 +512,72 @@ def test_the_fourth_request_in_a_row_begins_a_conversation_and_does_not_wait_for
         until(lambda: within.begun == 1)
 
 
+START = build_packet({"op": "start", "fleet": "lab", "host": "edge1", "task": "slam"}, "0" * 32, 5.0)
+EXPECTED = Host(name="edge1", role=Role.EDGE, host="edge1")
+
+
+def run_start(session: ConversingSession) -> bytes:
+    return session.run(build_agent_command("python3"), START, timeout=ANSWERS_S).stdout
+
+
+def test_expected_requests_wait_for_the_conversation_and_change_by_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(conversation, "PATIENCE_S", ANSWERS_S)
+    within = ScriptedSession(answer_well)
+    with ConversingSession(within) as session:
+        session.expect_requests(EXPECTED)
+        assert [run_scripted(session), run_start(session)] == [b"shared", b"shared"]
+        session.expect_requests(EXPECTED)
+        assert within.begun == 1
+
+
+def test_what_changes_something_has_a_call_where_it_is_not_expected() -> None:
+    with ConversingSession(ScriptedSession(answer_well)) as session:
+        until_shared(session)
+        assert run_start(session) == b"by a call"
+        session.expect_requests(EXPECTED)
+        assert run_start(session) == b"shared"
+
+
+@pytest.mark.parametrize("attack", HOSTILE)
+def test_a_change_is_never_begun_twice_unseen(attack: str) -> None:
+    """Where nobody knows whether it was carried out, its asker hears so, and asks over a new connection."""
+    hostile = threading.Event()
+
+    def answer(word: str, number: int, body: bytes) -> bytes | None:
+        if not hostile.is_set() or word != frames.ASK:
+            return answer_well(word, number, body)
+        said = HOSTILE[attack](word, number, body)
+        return said + b"no frame\n" if said is not None and attack == "a part and its end" else said
+
+    with ConversingSession(ScriptedSession(answer)) as session:
+        until_shared(session)
+        session.expect_requests(EXPECTED)
+        hostile.set()
+        ask = partial(session.run, build_agent_command("python3"), START, timeout=ANSWERS_S, limit=1000)
+        if attack == "a refusal":
+            assert ask().stdout == b"by a call"
+        else:
+            with pytest.raises(ConnectError, match="ended before it had replied"):
+                ask()
+
+
+def test_a_host_that_keeps_no_agent_costs_expected_requests_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Refusing(ScriptedSession):
+        def converse(self, *_given: object, **_options: object) -> OpenExchange:
+            self.begun += 1
+            raise ConnectError("no room")
+
+    monkeypatch.setattr(conversation, "PATIENCE_S", 1e6)
+    within = Refusing(answer_well)
+    with ConversingSession(within) as session:
+        for _ in range(3):
+            session.expect_requests(EXPECTED)
+            assert [run_scripted(session), run_start(session)] == [b"by a call", b"by a call"]
+    assert within.begun == 1
+
+
 def test_requests_far_apart_have_calls(monkeypatch: pytest.MonkeyPatch) -> None:
     within = ScriptedSession(answer_well)
     monkeypatch.setattr(conversation, "KEEP_S", 0.09)

@@ -9,7 +9,9 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import paramiko
 import pytest
+from paramiko.common import MSG_CHANNEL_SUCCESS
 
 from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError, HostKeyError, ReplyError
 from edgectl.model.inventory import Connection, Host
@@ -92,6 +94,26 @@ def test_large_stderr_does_not_block(lab: Lab, transport: Transport, connection:
         limit=8 << 20,
     )
     assert (len(reply.stderr), reply.stdout) == (5_000_000, b"end\n")
+
+
+def test_the_input_does_not_wait_until_the_server_agrees(
+    lab: Lab, transport: Transport, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A command and its input travel together: one way there and back less for each request."""
+    agreed, sent = threading.Event(), paramiko.Channel.sendall
+    succeed = paramiko.Channel._request_success  # type: ignore[attr-defined]
+
+    def agree_late(channel: paramiko.Channel, message: paramiko.Message) -> None:
+        assert agreed.wait(BUSY_S), "the input waits for the server"
+        succeed(channel, message)
+
+    def note_input(channel: paramiko.Channel, data: bytes) -> None:
+        sent(channel, data)
+        agreed.set()
+
+    monkeypatch.setitem(paramiko.Transport._channel_handler_table, MSG_CHANNEL_SUCCESS, agree_late)  # type: ignore[attr-defined]
+    monkeypatch.setattr(paramiko.Channel, "sendall", note_input)
+    assert run_command(transport, lab.host("edge1"), "cat", b"the input").stdout == b"the input"
 
 
 def test_output_is_capped(lab: Lab, transport: Transport, connection: Connection) -> None:

@@ -38,21 +38,24 @@ PATIENT = ApplyOptions(lock_timeout=patience(60.0))
 
 
 class Site:
-    """Two hosts, and managers that share an etcd (None: that do not), each with a home and a view of its own."""
+    """Hosts, and managers that share an etcd (None: that do not), each with a home and a view of its own."""
 
-    def __init__(self, place: Coordination | None, folder: Path) -> None:
-        self.hosts, self.folder, self.said = FakeFleet.of(["edge1", "edge2"]), folder, list[str]()
-        inventory = an_inventory(an_edge("edge1"), an_edge("edge2"))
+    def __init__(
+        self, place: Coordination | None, folder: Path, names: tuple[str, ...] = ("edge1", "edge2")
+    ) -> None:
+        self.hosts, self.folder, self.said = FakeFleet.of(names), folder, list[str]()
+        inventory = an_inventory(*map(an_edge, names))
         self.inventory = dataclasses.replace(inventory, coordination=place, fleet=folder.name)
+        self.want: tuple[Task, ...] = TASKS
 
-    def manager(self, name: str, *silent: str, tasks: tuple[Task, ...] = TASKS) -> Fleet:
-        """A manager for which the hosts ``silent`` do not answer."""
+    def manager(self, name: str, *silent: str, tasks: tuple[Task, ...] | None = None) -> Fleet:
+        """A manager for which the hosts ``silent`` do not answer; ``tasks``: None: those that the site wants."""
         state = self.folder / name
         state.mkdir(mode=0o700, exist_ok=True)
         view = FakeFleet(hosts=self.hosts.hosts, world=self.hosts.world, down=set(silent))
         return Fleet(
             inventory=self.inventory,
-            tasks=some_tasks(*tasks),
+            tasks=some_tasks(*(self.want if tasks is None else tasks)),
             transport=view.transport,
             state=state,
             warn=self.said.append,

@@ -114,7 +114,7 @@ def test_documents_read_back() -> None:
 def test_plan_table() -> None:
     text = PlanView(plan()).table()
     lines = text.splitlines()
-    assert lines[0] == "Weights all, snapshot of 2026-11-21T03:02:39Z"
+    assert lines[0] == "Fleet demo, weights all, snapshot of 2026-11-21T03:02:39Z"
     assert re.match(r" +TASK +NOW +NEXT +UTILITY +LEAD +REASON$", lines[2])
     assert re.match(
         r"~ +detection-robot1 +edge1 +edge2 +0\.\d{3} +[+-]0\.\d{3} +move: edge1 short of cpu by", lines[3]
@@ -122,7 +122,7 @@ def test_plan_table() -> None:
     assert lines[4:6] == ["=  9 kept (-o wide shows all)", ""]
     assert lines[-1] == "Plan: 0 to start, 1 to move, 0 to stop, 9 kept, 0 unplaced."
     seen = dataclasses.replace(plan().policy, weights=Weights(cpu=1, memory=1, network=0, task=0))
-    live = PlanView(dataclasses.replace(plan(), policy=seen), fleet="lab", now=plan().created_at + 2)
+    live = PlanView(dataclasses.replace(plan(), policy=seen, fleet="lab"), now=plan().created_at + 2)
     assert (
         live.table().splitlines()[0]
         == "Fleet lab, weights cpu 1 memory 1 network 0 task 0, snapshot 2.0s ago"

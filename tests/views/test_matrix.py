@@ -108,9 +108,9 @@ def test_a_plan_of_two_hundred_tasks_shows_the_change_and_folds_the_rest() -> No
     kept = [step for step in plan.steps if not step.changes]
     many = Plan(
         **{key: getattr(plan, key) for key in plan.__dataclass_fields__}
-        | {"steps": (*kept * 22, *plan.steps)}
+        | {"steps": (*kept * 22, *plan.steps), "fleet": "lab"}
     )
-    lines = PlanView(many, fleet="lab").table(RenderOptions(width=80)).splitlines()
+    lines = PlanView(many).table(RenderOptions(width=80)).splitlines()
     assert lines[0] == "Fleet lab, weights all, snapshot of 2026-11-21T03:02:39Z"
     assert lines[3].startswith("~  detection-robot1")
     assert "=  207 kept (-o wide shows all)" in lines

@@ -43,7 +43,7 @@ from tests.scheduler.test_standbys import SLAM, a_copy, a_task_run
 
 MI = 2.0**20
 PLAN = """\
-Weights cpu, snapshot of 2025-11-21T01:53:20Z
+Fleet unnamed, weights cpu, snapshot of 2025-11-21T01:53:20Z
 
    TASK       NOW    NEXT   UTILITY    LEAD  REASON
 +  nav        -      edge2    0.725     tie  start: tie with edge1; chosen by the tie rule

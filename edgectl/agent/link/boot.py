@@ -3,9 +3,9 @@
 
 The text of this file is sent on standard input after that of ``stub.py``, which runs it in its own namespace,
 so it may import the standard library only. Input: ``length newline stub-text length newline boot-zlib``, then
-one line ``marker sha256 request-length agent-length timeout key operation``, the request, the agent. Output:
-one frame with the request's random marker, a length and a digest; anything else that a login shell prints is
-noise.
+one line ``marker sha256 request-length agent-length timeout key operation``, the request, the packed agent.
+Output: one frame with the request's random marker, a length and a digest; anything else that a login shell
+prints is noise.
 """
 
 # Module signal imports enum: 4 ms of CPU.
@@ -93,6 +93,18 @@ def check_private_dir(path: str) -> None:
         raise PermissionError(1, "not a private directory of this user (mode 0700)", path)
     if info.st_mode & 0o077:
         os.chmod(path, 0o700)
+
+
+def unpack_agent(sent: bytes) -> bytes:
+    """Unpack an agent that was sent; nothing is left of one that arrived damaged."""
+    if not sent:
+        return b""
+    import zlib
+
+    try:
+        return zlib.decompress(sent)
+    except zlib.error:
+        return b""
 
 
 def find_cached_agent(bases: "List[str]", sha: str, bundle: "Bundle") -> "Optional[str]":
@@ -212,7 +224,7 @@ def boot_agent(stdin: "BinaryIO", words: "List[str]", bases: "List[str]", bundle
         return channel.reply(('{%s, "too_old": true}' % version).encode())
     # The manager's deadline ends this side too: nothing lingers after it has given up.
     signal.setitimer(signal.ITIMER_REAL, float(timeout))
-    request, agent = stdin.read(int(request_length)), stdin.read(int(agent_length))
+    request, agent = stdin.read(int(request_length)), unpack_agent(stdin.read(int(agent_length)))
     folder = None if agent else find_cached_agent(bases, sha, bundle)
     if folder is None and compute_sha256(agent) != sha:
         return channel.reply(('{%s, "missing": true}' % version).encode())

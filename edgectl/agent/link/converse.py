@@ -44,6 +44,8 @@ def converse(channel: Channel, bases: "List[str]", serve: "Serve") -> "NoReturn"
     if FINGERPRINT not in importer.bundle:
         importer.read_sources()
         cache.write_bundle(importer, protocol.OP_CONVERSE)
+        # A megabyte that every supervisor would inherit; who needs it reads it again.
+        importer.agent, importer.sources = b"", {}
     staying = _StayingAgent(importer, channel, bases, serve)
     channel.reply(dumps({"op": protocol.OP_CONVERSE}).encode("ascii"))
     # The deadline was that of the beginning.
@@ -100,9 +102,10 @@ class _StayingAgent:
                 self._pass_on(fd)
 
     def end_children(self) -> None:
-        """End the requests under way, for which nobody waits any more: they only read."""
-        for _, pid, _ in self._children.values():
-            os.kill(pid, signal.SIGTERM)
+        """End the requests under way that only read: nobody waits for them. A change goes on to its end."""
+        for _, pid, operation in self._children.values():
+            if operation in protocol.CONVERSED_OPS:
+                os.kill(pid, signal.SIGTERM)
 
     def _wait(self, until: float) -> "Set[int]":
         """Wait for what can be read or written. No child is read while the line is full: bounded memory."""
@@ -150,7 +153,7 @@ class _StayingAgent:
         return (
             (sha, key, agent_length, length)
             == (self._importer.sha, self._importer.key, "0", str(len(request)))
-            and operation in protocol.CONVERSED_OPS
+            and operation in protocol.CONVERSED_OPS + protocol.CONVERSED_CHANGES
             # Requests that this one does not carry rely on it: a call sends it again.
             and os.path.exists(self._agent_path)
             and self._load(operation)

@@ -57,6 +57,8 @@ CHANGING_OPS = (
 HELD_OPS = (OP_ACTIVATE, OP_DEACTIVATE)
 # Those that a conversation carries (`frames.py`): each may be carried out twice without harm.
 CONVERSED_OPS = (OP_LEASE, OP_LOGS, OP_PROBE, OP_STATUS, OP_WAIT)
+# Those that one carries where many are expected: the same one twice is one, and it goes on to its end.
+CONVERSED_CHANGES = (OP_MARK, OP_START, OP_STOP)
 SIGNATURE_KEYS = ("holder", "session", "epoch")
 # Name of the record of the lease in the directory of the fleet.
 LEASE_FILE = "lease"

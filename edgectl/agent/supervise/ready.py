@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Readiness check of one task: repeated with growing pauses until it succeeds once."""
+"""Readiness check of one task: repeated, the longer it takes the more rarely, until it succeeds once."""
 
 import time
 
@@ -10,9 +10,17 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Callable, Mapping
 
-_FIRST_PAUSE_S, _MAX_PAUSE_S, _MAX_TRY_S = 0.3, 5.0, 10.0
+# From one try to the next: a share of the time since the start, so that ready is seen at most so late; and a
+# multiple of the time that the last one took, for one that sources the files of ROS needs a core.
+_SHARE, _COST = 0.15, 4.0
+_MIN_PAUSE_S, _MAX_PAUSE_S, _MAX_TRY_S = 0.2, 5.0, 10.0
 # Nothing tells the end of the check's process; so often it is looked for.
 _POLL_S = 0.5
+
+
+def compute_pause_s(since_s: float, took_s: float) -> float:
+    """Compute the seconds from one try to the next; ``since_s``: since the start, ``took_s``: of the last."""
+    return min(_MAX_PAUSE_S, max(_MIN_PAUSE_S, _SHARE * since_s, _COST * took_s))
 
 
 class ReadyCheck:
@@ -27,11 +35,12 @@ class ReadyCheck:
         # Why the last try failed, where it was a question to the ROS graph.
         self.fault = ""
         self._next: "float | None" = None
-        self._pause_s = _FIRST_PAUSE_S
+        self._began = self._asked = 0.0
 
     def begin(self) -> None:
         """Check from now on, anew for each start of the command."""
-        self._next, self._pause_s = time.monotonic() if self._spec.get("ready") else None, _FIRST_PAUSE_S
+        self._began = time.monotonic()
+        self._next = self._began if self._spec.get("ready") else None
         self.fault = ""
 
     def poll(self) -> bool:
@@ -40,15 +49,17 @@ class ReadyCheck:
             result = self._running.poll()
             if result is None:
                 return False
-            self._running = None
+            self._running, now = None, time.monotonic()
+            # The end of a question to the graph is seen late, and asking costs little.
+            took_s = 0.0 if self._spec["ready"].get("graph") else now - self._asked
+            self._next = self._asked + compute_pause_s(now - self._began, took_s)
             if result["exit"] == 0:
                 self._next, self.fault = None, ""
                 return True
             if self._spec["ready"].get("graph"):
                 self.fault = spec_check.describe_fault(self._spec["ready"], result)
         elif self._next is not None and time.monotonic() >= self._next:
-            self._next = time.monotonic() + self._pause_s
-            self._pause_s = min(_MAX_PAUSE_S, self._pause_s * 1.5)
+            self._asked = time.monotonic()
             self._running = self._start()
         return False
 

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The requests of an apply over warm connections, by count: those to one host share one agent and travel together."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from edgectl.agent.link import frames
+from edgectl.model.check import Check
+from edgectl.model.inventory import Connection, Host, Inventory
+from edgectl.model.plan import Action
+from edgectl.model.task import Task
+from edgectl.transport.base import OpenExchange, Reply, Session
+from edgectl.transport.fake import unpack_request
+from edgectl.transport.fleet_transport import FleetTransport
+from tests.builders import a_task, an_inventory
+from tests.e2e.bench import GENTLE, Bench, a_local, a_slice, open_bench
+from tests.pace import patience
+from tests.sshd import Lab
+
+HOSTS = ("edge3", "edge2", "edge1")
+COUNT = 10
+
+
+class RecordingTransport:
+    """Real sessions; ``said``: (host, way, operation) of all that was sent, in its order."""
+
+    def __init__(self) -> None:
+        self.said: list[tuple[str, str, str]] = []
+        self._within = FleetTransport()
+
+    def connect(self, host: Host, *, timeout: float) -> Session:
+        session = self._within.connect(host, timeout=timeout)
+        run, converse = session.run, session.converse  # type: ignore[attr-defined]
+        self.said.append((host.name, "login", ""))
+
+        def run_noted(command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
+            self.said.append((host.name, "call", str(unpack_request(stdin)[1]["op"])))
+            return run(command, stdin, timeout=timeout, limit=limit)
+
+        def converse_noted(
+            command: str, stdin: bytes, *, timeout: float, give_way: Callable[[], None]
+        ) -> OpenExchange:
+            self.said.append((host.name, "call", str(unpack_request(stdin)[1]["op"])))
+            exchange = converse(command, stdin, timeout=timeout, give_way=give_way)
+            write, reader = exchange.write, frames.FrameReader(frames.MANAGER_WORDS)
+
+            def write_noted(data: bytes, *, timeout: float) -> None:
+                for word, _, body in reader.feed(data):
+                    if word == frames.ASK:
+                        self.said.append((host.name, "frame", body.split(b"\n")[0].split()[6].decode()))
+                write(data, timeout=timeout)
+
+            exchange.write = write_noted
+            return exchange  # type: ignore[no-any-return]
+
+        session.run = run_noted  # type: ignore[method-assign]
+        session.converse = converse_noted  # type: ignore[attr-defined]
+        return session
+
+    def address(self, host: Host) -> str:
+        return self._within.address(host)
+
+    def count(self, host: str) -> Counter[tuple[str, str]]:
+        return Counter((way, operation) for name, way, operation in self.said if name == host)
+
+
+def build_tasks(folder: Path) -> list[Task]:
+    """Programs that are ready at once, on the hosts in turns."""
+    return [
+        a_task(
+            f"task{number:02}",
+            command="echo up; exec sleep 600",
+            ready=Check(command="true", timeout=patience(20.0)),
+            pin=HOSTS[number % len(HOSTS)],
+            stop=GENTLE,
+        )
+        for number in range(COUNT, 0, -1)
+    ]
+
+
+@contextmanager
+def recorded_bench(
+    inventory: Inventory, folder: Path, hosts: Path | Lab
+) -> Iterator[tuple[Bench, RecordingTransport]]:
+    """A manager whose hosts have the compiled code of every operation of an apply."""
+    recording = RecordingTransport()
+    with open_bench(inventory, folder / "manager", hosts) as bench:
+        found = Bench(replace(bench.fleet, transport=recording), bench.said).using(*build_tasks(folder))
+        for _ in range(2):
+            found.apply()
+            found.stop()
+        recording.said.clear()
+        yield found, recording
+
+
+@pytest.mark.parametrize("connection", [Connection.SSH, Connection.LOCAL])
+def test_ten_starts_on_three_hosts(lab: Lab, tmp_path: Path, connection: Connection) -> None:
+    lab_hosts = ("edge2", "edge1", "robot1")
+    edges = [
+        a_slice(replace(lab.host(at), name=name))
+        if connection is Connection.SSH
+        else a_local(lab.host(name), f"127.0.1.{n}")
+        for n, (name, at) in enumerate(zip(HOSTS, lab_hosts, strict=True))
+    ]
+    where: Lab | Path = lab if connection is Connection.SSH else tmp_path
+    with recorded_bench(an_inventory(*edges), tmp_path, where) as (bench, recording):
+        assert bench.apply().plan.summary == {Action.START: COUNT}
+        for number, host in enumerate(HOSTS):
+            here = len([each for each in range(COUNT, 0, -1) if each % len(HOSTS) == number])
+            assert recording.count(host) == {
+                ("login", ""): 1,
+                ("call", "probe"): 1,
+                ("call", "converse"): 1,
+                # Whether it is there, for all of its tasks; and after the run, whether anything runs twice.
+                ("frame", "status"): 2,
+                ("frame", "start"): here,
+                ("frame", "wait"): here,
+                ("frame", "lease"): 1,
+            }
+        recording.said.clear()
+        bench.stop()
+        for number, host in enumerate(HOSTS):
+            here = len([each for each in range(COUNT, 0, -1) if each % len(HOSTS) == number])
+            assert recording.count(host)["frame", "stop"] == here
+            assert recording.count(host)["call", "stop"] == 0
+
+
+def test_an_apply_that_changes_nothing_begins_no_conversation(lab: Lab, tmp_path: Path) -> None:
+    edges = [a_slice(replace(lab.host(at), name=name)) for name, at in zip(HOSTS, lab.servers, strict=False)]
+    with recorded_bench(an_inventory(*edges), tmp_path, lab) as (bench, recording):
+        bench.apply()
+        recording.said.clear()
+        assert bench.apply().results is None
+        for host in HOSTS:
+            assert recording.count(host) == {("login", ""): 1, ("call", "probe"): 1, ("call", "lease"): 1}
