@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """An edge and a robot in network namespaces of their own, with a cable between them that tbf shapes. Needs root."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -10,9 +11,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import ClassVar
 
+from edgectl.agent.link import protocol
 from edgectl.model.inventory import Host
+from edgectl.transport.agent_client import call_agent
 from edgectl.transport.local import LocalSession, LocalTransport
+from tests.builders import a_robot
 from tests.faults.network import run_ip, run_tc
+from tests.pace import patience
 
 _SEND = """
 import socket
@@ -38,6 +43,13 @@ print("listening", flush=True)
 peer, _ = server.accept()
 while peer.recv(65536):
     pass
+"""
+
+_SAMPLE = """
+import json, sys
+from edgectl.agent.measure import link_sample
+link_sample._LOOK_S = {turn_s}
+print(json.dumps(link_sample.sample_link(json.loads(sys.argv[1]))))
 """
 
 _GIVE = """
@@ -135,6 +147,17 @@ class ShapedNetwork(LocalTransport):
             server.stdout.readline()
             with self._run(sender, _SEND.format(address=self.addresses[receiver])):
                 yield
+
+    def sample(self, seconds: float, rate: float, *, turn_s: float) -> dict[str, float | None]:
+        """Probe the cable from the edge, by an agent that gets its turn every ``turn_s`` seconds only."""
+        with self.connect(a_robot("robot1"), timeout=5.0) as session:
+            asked = {"op": protocol.OP_SINK, "fleet": "lab", "host": "robot1", "seconds": seconds}
+            sink = call_agent(session, asked, timeout=patience(5.0))
+        request = {**sink, "address": self.addresses["robot1"], "seconds": seconds, "rate_bytes_per_s": rate}
+        words = [str(self._pythons["edge1"]), "-c", _SAMPLE.format(turn_s=turn_s), json.dumps(request)]
+        done = subprocess.run(words, capture_output=True, check=True, timeout=patience(20.0))
+        found: dict[str, float | None] = json.loads(done.stdout)
+        return found
 
     @contextmanager
     def pictures(self, sender: str, receiver: str) -> Iterator[None]:

@@ -13,8 +13,9 @@ if TYPE_CHECKING:
     from .network import Flow
 
 # Offsets in struct tcp_info.
-_FLAGS_AT, _UNACKED_AT, _RTT_AT, _THRESHOLD_AT, _MIN_RTT_AT = 7, 24, 68, 76, 148
-_DELIVERY_AT, _BUSY_AT, _BUSY_END = 160, 168, 192
+_FLAGS_AT, _UNACKED_AT, _RTT_AT, _THRESHOLD_AT, _WINDOW_AT, _MIN_RTT_AT = 7, 24, 68, 76, 80, 148
+_NOT_SENT_AT = 144
+_ACKED_AT, _DELIVERY_AT, _BUSY_AT, _BUSY_END = 120, 160, 168, 192
 _APP_LIMITED = 1
 # The slow-start threshold of a connection that has met no limit yet.
 _NO_THRESHOLD = 0x7FFFFFFF
@@ -81,6 +82,14 @@ def _read_busy(info: bytes) -> "tuple[float, float]":
     return busy / 1e6, (receiver + buffer) / 1e6
 
 
+def read_progress(info: bytes) -> "tuple[int, float]":
+    """Read (bytes confirmed, seconds in which data was under way or waited, and the receiver had room)."""
+    if len(info) < _ACKED_AT + 8:
+        return 0, 0.0
+    busy, receiver = struct.unpack_from("=QQ", info, _BUSY_AT) if len(info) >= _BUSY_END else (0, 0)
+    return int(struct.unpack_from("=Q", info, _ACKED_AT)[0]), (busy - receiver) / 1e6
+
+
 def estimate_rate(flows: "list[Flow]", seconds: float) -> "float | None":
     """Estimate the bytes/s (in plus out) that the link of ``flows`` carries; None where nothing limits them.
 
@@ -100,6 +109,14 @@ def is_path_full(info: bytes) -> bool:
     if len(info) < _MIN_RTT_AT + 4:
         return False
     return _has_queue(info) or bool(struct.unpack_from("=I", info, _THRESHOLD_AT)[0] < _NO_THRESHOLD)
+
+
+def is_device_full(info: bytes) -> bool:
+    """Whether a sender has data and may send it, and the queue of its own device lets it wait."""
+    if len(info) < _NOT_SENT_AT + 4:
+        return False
+    (under_way,), (window,) = (struct.unpack_from("=I", info, at) for at in (_UNACKED_AT, _WINDOW_AT))
+    return bool(under_way < window and struct.unpack_from("=I", info, _NOT_SENT_AT)[0])
 
 
 def _has_queue(info: bytes) -> bool:

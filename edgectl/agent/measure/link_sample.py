@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Operation ``sample-link``: rate of an idle link, by sending to a sink for a tenth of a second at most.
 
-Bounded in time, in bytes and in rate. The connection is reset at its end, so that nothing of it stays in the
-send buffer; what is then under way is at most twice what has arrived.
+Bounded in time, in bytes and in rate. The kernel sends what was handed to it while this program waits for its
+turn on a busy host, and counts the time in which it had anything to send and the receiver took it. The
+connection is reset at its end: what is still in the send buffer is dropped, and what is then under way is at
+most twice what has arrived.
 """
 
 import select
@@ -15,14 +17,19 @@ from . import link_rate
 from .sockets import socket
 
 _MAX_S, _CONNECT_S, _LOOK_S = 0.1, 1.0, 0.001
-_BLOCK_BYTES = 1 << 14
+# As much as the kernel allows without rights: so much is handed over at once.
+_BUFFER_BYTES = 212_992
 _MAX_BYTES = 1 << 27
 _INFO_BYTES = 192
-_ACKED_AT = 120
 # Options of Linux that module socket does not name before Python 3.12, or at all.
-_NOT_SENT_LOW_WATER, _MAX_PACING_RATE = 25, 47
+_CONGESTION, _MAX_PACING_RATE = 13, 47
+# In every kernel, and for everybody: it fills the queue of a link, which BBR never does.
+_RENO = b"reno"
 # What is measured after the limit was met is a rate from so many bytes and seconds on.
 _MIN_TAIL_BYTES, _MIN_TAIL_S = 4096, 0.02
+# Shares: of the rate that was asked for, below which it is not the limit; by which a steady rate varies; of
+# the moments at which the device is the limit.
+_LIMITED_SHARE, _STEADY_SHARE, _HELD_SHARE = 0.9, 0.15, 0.5
 
 
 def sample_link(request: Document) -> Document:
@@ -40,10 +47,11 @@ def sample_link(request: Document) -> Document:
         peer.connect((address, port))
         peer.sendall(request["token"].encode() + b"\n")
         peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        peer.setsockopt(socket.IPPROTO_TCP, _NOT_SENT_LOW_WATER, _BLOCK_BYTES)
+        peer.setsockopt(socket.IPPROTO_TCP, _CONGESTION, _RENO)
+        peer.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
         peer.setsockopt(socket.SOL_SOCKET, _MAX_PACING_RATE, min(int(rate), 0x7FFFFFFF))
         peer.setblocking(False)
-        return _send_and_watch(peer, seconds, min(_MAX_BYTES, int(rate * seconds)))
+        return _send_and_watch(peer, seconds, rate)
     except OSError as error:
         message = "cannot send to %s port %s: %s" % (address, port, error)
         raise RefusalError("no-path", message, "check that the robot's firewall allows this port") from None
@@ -51,25 +59,41 @@ def sample_link(request: Document) -> Document:
         peer.close()
 
 
-def _send_and_watch(peer: "socket.socket", seconds: float, most: int) -> Document:
-    """Send up to ``most`` bytes and note when which of them were confirmed."""
-    block, poll = bytes(_BLOCK_BYTES), select.poll()
+class Moment:
+    """What TCP had done after ``seconds`` in which it could send: ``count`` bytes confirmed.
+
+    ``held``: its own device was the limit, or the rate that was asked for.
+    """
+
+    __slots__ = ("count", "held", "seconds")
+
+    def __init__(self, count: int, seconds: float, held: bool) -> None:
+        self.count, self.seconds, self.held = count, seconds, held
+
+
+def _send_and_watch(peer: "socket.socket", seconds: float, rate: float) -> Document:
+    """Send up to ``rate`` for ``seconds`` and note when which bytes were confirmed."""
+    left = most = min(_MAX_BYTES, int(rate * seconds))
+    block, poll = bytes(_BUFFER_BYTES), select.poll()
     poll.register(peer, select.POLLOUT)
     began = time.monotonic()
-    left, first = most, _read_info(peer)
-    # (time, bytes confirmed), once for each time that the number grew; of them the first with the path full.
-    seen = [(began, _count_acked(first))]
-    full = 0
-    end = seen[0][1] + most
-    while time.monotonic() - began < seconds and seen[-1][1] < end:
+    # A moment for each time that more was confirmed; of them the first with the path full.
+    seen, full = [_note_moment(_read_info(peer))], 0
+    end = seen[0].count + most
+    while time.monotonic() - began < seconds and seen[-1].count < end:
         if left > 0 and poll.poll(_LOOK_S * 1000):
-            left -= _send(peer, block[: min(left, _BLOCK_BYTES)])
+            left -= _send(peer, block[: min(left, _BUFFER_BYTES)])
         time.sleep(_LOOK_S)
         info = _read_info(peer)
-        if _count_acked(info) > seen[-1][1]:
-            seen.append((time.monotonic(), _count_acked(info)))
+        moment = _note_moment(info)
+        if moment.count > seen[-1].count:
+            seen.append(moment)
             full = full or (len(seen) - 1 if link_rate.is_path_full(info) else 0)
-    return _summarize(seen, full)
+    return summarize_moments(seen, full, rate)
+
+
+def _note_moment(info: bytes) -> Moment:
+    return Moment(*link_rate.read_progress(info), link_rate.is_device_full(info))
 
 
 def _send(peer: "socket.socket", data: bytes) -> int:
@@ -83,17 +107,31 @@ def _read_info(peer: "socket.socket") -> bytes:
     return peer.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO_BYTES)
 
 
-def _count_acked(info: bytes) -> int:
-    return int(struct.unpack_from("=Q", info, _ACKED_AT)[0]) if len(info) >= _ACKED_AT + 8 else 0
-
-
-def _summarize(seen: "list[tuple[float, int]]", full: int) -> Document:
+def summarize_moments(seen: "list[Moment]", full: int, rate: float) -> Document:
     """Summarize confirmations: the rate since entry ``full``, at which the limit was met.
 
-    Without a limit that of the second half: a shaped link lets a first burst pass.
+    Without a limit that of the second half: a shaped link lets a first burst pass. If that was steady, with
+    the device as the limit and below ``rate``, the link was the limit.
     """
-    middle = (seen[0][0] + seen[-1][0]) / 2
-    start = full or next(number for number, entry in enumerate(seen) if entry[0] >= middle)
-    seconds, count = seen[-1][0] - seen[start][0], seen[-1][1] - seen[start][1]
-    known = seconds >= _MIN_TAIL_S and count >= _MIN_TAIL_BYTES
-    return {"bytes_per_s": round(count / seconds, 1) if known else None, "full": bool(full)}
+    middle = (seen[0].seconds + seen[-1].seconds) / 2
+    half = seen[next(number for number, entry in enumerate(seen) if entry.seconds >= middle) :]
+    tail = seen[full:] if full else half
+    found = _compute_rate(tail)
+    steady = found is not None and not full and _is_steady(half, found) and found < _LIMITED_SHARE * rate
+    return {"bytes_per_s": None if found is None else round(found, 1), "full": bool(full) or steady}
+
+
+def _compute_rate(seen: "list[Moment]") -> "float | None":
+    seconds, count = seen[-1].seconds - seen[0].seconds, seen[-1].count - seen[0].count
+    return count / seconds if seconds >= _MIN_TAIL_S and count >= _MIN_TAIL_BYTES else None
+
+
+def _is_steady(half: "list[Moment]", rate: float) -> bool:
+    """Whether both halves of these moments have this rate, with the device as the limit of both.
+
+    A sender that still finds out how fast it may send doubles its rate with each round trip.
+    """
+    middle = half[len(half) // 2]
+    first = (middle.count - half[0].count) / max(1e-6, middle.seconds - half[0].seconds)
+    held = sum(moment.held for moment in half)
+    return abs(first / rate - 1.0) <= _STEADY_SHARE and held >= _HELD_SHARE * len(half)
