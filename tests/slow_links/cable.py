@@ -135,7 +135,8 @@ def run_cables(count: int) -> Iterator[tuple[Path, Path, Cables]]:
         cables = Cables()
         for number in range(count):
             cables.add(manager, hosts, number)
-        stack.callback(lambda: [os.close(way.source) for way in cables.ways])
+        for way in cables.ways:
+            stack.callback(os.close, way.source)
         thread = threading.Thread(target=cables.run, daemon=True)
         thread.start()
         try:
