@@ -149,7 +149,7 @@ def test_the_agent_travels_packed(host: AgentHost) -> None:
     sizes: list[int] = []
     run = host.session.run
 
-    def run_damaged(command: str, stdin: bytes, *, timeout: float, limit: int) -> Reply:
+    def run_damaged(command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
         sizes.append(len(stdin))
         sent = stdin[:-1] + b"~" if sizes[-1] > 100_000 else stdin
         return run(command, sent, timeout=timeout, limit=limit)

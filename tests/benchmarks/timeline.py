@@ -61,7 +61,7 @@ def run_probe(lab: Lab, folder: Path) -> dict[str, tuple[float, float]]:
     environment = os.environ | lab.environment | {"EDGECTL_STATE_DIR": str(folder / "state")}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     report = folder / "timeline.json"
-    command = [sys.executable, "-c", PROGRAM, "probe", "--window", "0"]
+    command = [sys.executable, "-c", PROGRAM, "probe", "--window", "0", "--timeout", "2m"]
     began = time.time()
     environment |= {"TIMELINE_BEGAN": repr(began), "TIMELINE_REPORT": str(report)}
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)

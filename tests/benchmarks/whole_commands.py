@@ -112,7 +112,9 @@ def build_runs(lab: Lab, names: Sequence[str], folder: Path) -> dict[str, Callab
         "ssh": lambda: run_ssh("true", "/dev/null"),
         "Fabric": lambda: run(sys.executable, "-c", FABRIC, *arguments),
         "ssh, agent": lambda: run_ssh(agent, str(stdin)),
-        "edgectl probe": lambda: run(sys.executable, "-m", "edgectl", "probe", "--window", "0"),
+        "edgectl probe": lambda: run(
+            sys.executable, "-m", "edgectl", "probe", "--window", "0", "--timeout", "2m"
+        ),
     }
 
 
