@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: docs versions image model browser engines sensitivity latency handoffs ros ros-whole throughput quality demo experiment evaluation test test-fast check style setup audit bench faults managers fuzz soak clean containers
+.PHONY: docs versions image model browser engines sensitivity latency handoffs ros ros-whole throughput quality demo experiment evaluation test test-fast check style setup audit bench faults managers fuzz slow-links soak clean containers
 PY := .venv/bin/python
 export PYTHON
 
@@ -80,6 +80,11 @@ throughput: setup
 bench: setup
 	@.ci/need-sshd
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.benchmarks
+
+# Probe, plan, apply and watch over far, lossy and slow lines, beside ssh doing the same (root): docs/performance.md. Ten minutes.
+slow-links: setup
+	@.ci/need-faults
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.slow_links $(or $(RUNS),3)
 
 # The figures of docs/concepts/quality.md: how far plans are from the best ones. Some minutes.
 quality: setup

@@ -61,6 +61,7 @@ def logs_command(
         edgectl logs -l robot=robot1 --tail 1
     """
     from edgectl.cli.connect import build_fleet
+    from edgectl.transport.connections import SessionPool
 
     fleet = build_fleet(load_inputs(inventory, tasks))
     chosen = select_task_names(names or (), selector, fleet.tasks)
@@ -70,14 +71,18 @@ def logs_command(
     if tail is None and since is None:
         tail = _DEFAULT_TAIL
     read = partial(_read_one, tail=tail, since_s=since_s, raw=raw)
-    if follow and len(chosen) > 1:
-        raise Exit(_follow_several(fleet, chosen, partial(read, follow=True, previous=False, prefix=True)))
-    if len(chosen) == 1:
-        for text in read(fleet, chosen[0], follow=follow, previous=previous, prefix=prefix):
+    with SessionPool(fleet.transport) as pool:
+        # The question where a task is, and that for its log, over one login.
+        held = dataclasses.replace(fleet, transport=pool)
+        if follow and len(chosen) > 1:
+            raise Exit(_follow_several(held, chosen, partial(read, follow=True, previous=False, prefix=True)))
+        if len(chosen) > 1:
+            raise Exit(
+                _print_several(chosen, partial(read, held, follow=False, previous=previous, prefix=True))
+            )
+        for text in read(held, chosen[0], follow=follow, previous=previous, prefix=prefix):
             if not console.print_part(text):
                 return
-        return
-    raise Exit(_print_several(chosen, partial(read, fleet, follow=False, previous=previous, prefix=True)))
 
 
 def _parse_since(text: str) -> float:
@@ -107,7 +112,6 @@ def _print_several(names: Sequence[str], read: Callable[[str], Iterator[str]]) -
 
 def _follow_several(fleet: "Fleet", names: Sequence[str], read: "Callable[..., Iterator[str]]") -> ExitCode:
     """The new lines of all tasks as they come, each whole, until Ctrl-C, or until none is left to follow."""
-    from edgectl.transport.connections import SessionPool
     from edgectl.usecases.logs import MAX_FOLLOWED, merge_streams
 
     if len(names) > MAX_FOLLOWED:
@@ -116,14 +120,12 @@ def _follow_several(fleet: "Fleet", names: Sequence[str], read: "Callable[..., I
             hint="name fewer, or: -l robot=NAME",
         )
     code = ExitCode.DONE
-    with SessionPool(fleet.transport) as pool:
-        held = dataclasses.replace(fleet, transport=pool)
-        for name, text in merge_streams({name: partial(read, held, name) for name in names}):
-            if isinstance(text, EdgectlError):
-                console.print_message(f"task/{name}: {text.message}")
-                code = ExitCode.PARTLY
-            elif not console.print_part(text):
-                break
+    for name, text in merge_streams({name: partial(read, fleet, name) for name in names}):
+        if isinstance(text, EdgectlError):
+            console.print_message(f"task/{name}: {text.message}")
+            code = ExitCode.PARTLY
+        elif not console.print_part(text):
+            break
     return code
 
 

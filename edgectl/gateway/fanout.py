@@ -51,23 +51,25 @@ def ask_all(
     timeout: float,
     max_logins: int = MAX_PARALLEL_HOSTS,
     max_hosts: int = MAX_PARALLEL_HOSTS,
+    spent: Mapping[str, float] | None = None,
 ) -> Iterator[HostAnswer[Value]]:
     """Ask every host at once, each within ``timeout`` s from first packet to last byte; yield as each ends.
 
     ``build_request`` takes the seconds that are left after the connection. At most ``max_logins`` connections
     are opened and ``max_hosts`` hosts asked at a time; the time of a host begins when its turn comes.
+    ``spent``: seconds by host that it has been waited for already.
     """
     gate = threading.BoundedSemaphore(max_logins)
 
     def ask(host: Host) -> HostAnswer[Value]:
-        began = time.monotonic()
+        began, most = time.monotonic(), timeout - (spent or {}).get(host.name, 0.0)
         value: Value | HostError
         try:
             with ExitStack() as stack:
                 with gate:
                     began = time.monotonic()
-                    session = stack.enter_context(transport.connect(host, timeout=timeout))
-                left = max(_MIN_REQUEST_S, began + timeout - time.monotonic())
+                    session = stack.enter_context(transport.connect(host, timeout=most))
+                left = max(_MIN_REQUEST_S, began + most - time.monotonic())
                 document = call_agent(session, build_request(host, left), timeout=left)
             value = decode(HostReply(host=host, document=document, seconds=time.monotonic() - began))
         except HostError as error:

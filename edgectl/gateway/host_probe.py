@@ -5,21 +5,21 @@ import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import field
+from functools import partial
+from typing import TYPE_CHECKING
 
 from edgectl.agent.link import protocol
 from edgectl.dataclass import dataclass
 from edgectl.errors import HostError
 from edgectl.gateway.fanout import MAX_PARALLEL_HOSTS, HostAnswer, HostReply, ask_all, fan_out
 from edgectl.gateway.latency import Latencies, decode_latencies, join_latencies
-from edgectl.gateway.link_observations import LinkEnds, decode_link_ends, join_link_ends
+from edgectl.gateway.link_observations import LinkEnds, join_link_ends
 from edgectl.gateway.probe_reply import (
     ReplyContext,
     apply_done_tasks,
-    decode_done_tasks,
-    decode_former_names,
-    decode_host_sample,
-    decode_names_elsewhere,
-    decode_unowned_tasks,
+    build_host_sample,
+    decode_probe,
+    list_done_tasks,
 )
 from edgectl.gateway.probe_request import build_probe_request, list_checked_tasks, list_detected_tasks
 from edgectl.model.inventory import Host, Inventory, Role
@@ -31,8 +31,14 @@ from edgectl.names import natural_key
 from edgectl.transport.base import Transport
 from edgectl.transport.fleet_lease import FleetLease
 
+if TYPE_CHECKING:
+    from edgectl.gateway.readings import FleetReadings
+    from edgectl.transport.readings import Reading
+
 # A login costs CPU here, a sample window only time: more hosts may measure than log in at once.
 _PROBES_PER_LOGIN = 4
+# Of the time of a probe: what may have passed before a host that fell silent is asked.
+_SILENT_SHARE = 0.75
 HostCallback = Callable[[str, HostSample, float], None]
 LinksCallback = Callable[[Mapping[tuple[str, str], LinkObservation]], None]
 
@@ -60,6 +66,7 @@ class ProbeOptions:
     ``placed``: the instance of each task as far as this manager knows it.
     ``totals``: also read the counters of each host, from which means over a mission are taken (ADR 0132).
     ``probe_idle_links``: also probe the idle links whose turn it is, for at most 0.1 s each (ADR 0077).
+    ``readings``: those that hosts send by themselves; only the other hosts are asked.
     ``on_host`` is called as each host ends, in the caller's thread, with name, sample and seconds;
     ``on_links`` once, with the links by (edge, robot).
     """
@@ -75,6 +82,7 @@ class ProbeOptions:
     placed: Mapping[str, str] = field(default_factory=dict)
     totals: bool = False
     probe_idle_links: bool = False
+    readings: "FleetReadings[DecodedProbe] | None" = None
     on_host: HostCallback = ignore_host
     on_links: LinksCallback = _ignore_links
 
@@ -167,22 +175,75 @@ def _list_link_ends(answers: _Answers) -> dict[str, LinkEnds]:
 
 def _ask_hosts(hosts: Sequence[Host], context: _ProbeContext) -> _Answers:
     """The answers of ``hosts`` in their order; each is reported as it ends."""
-    options, answers = context.options, {}
+    options, spent = context.options, _measure_silence(hosts, context)
+    answers = _take_readings(hosts, context)
     for answer in ask_all(
-        hosts,
+        [host for host in hosts if host.name not in answers],
         context.transport,
         lambda host, _left: _build_request(host, context),
         lambda reply: _decode_reply(reply, context),
         timeout=options.timeout,
         max_logins=options.workers,
         max_hosts=_PROBES_PER_LOGIN * options.workers,
+        spent=spent,
     ):
         answers[answer.host.name] = answer
         options.on_host(answer.host.name, _get_sample(answer), answer.seconds)
     return {host.name: answers[host.name] for host in hosts}
 
 
+def _measure_silence(hosts: Sequence[Host], context: _ProbeContext) -> dict[str, float]:
+    """Seconds by host that it has been waited for, of which some are left to ask it."""
+    options = context.options
+    if options.readings is None:
+        return {}
+    most = _SILENT_SHARE * options.timeout
+    return {host.name: min(most, options.readings.measure_silence(host.name)) for host in hosts}
+
+
+def _take_readings(hosts: Sequence[Host], context: _ProbeContext) -> _Answers:
+    """The answers of the hosts that have sent theirs already; the others are to be asked."""
+    readings, options, answers = context.options.readings, context.options, _Answers()
+    if readings is None or context.lease is not None:
+        return answers
+    readings.use_inputs(
+        (
+            *(context.addresses, context.edges),
+            *(options.timeout, options.window, options.totals, options.manager_id),
+            *(options.measured, options.reopened, options.former_hosts, options.placed),
+        )
+    )
+    for host in hosts:
+        request = _build_request(host, context)
+        reading = readings.find(host.name, request)
+        if reading is None:
+            continue
+        value: DecodedProbe | HostError
+        try:
+            value = readings.decode(host.name, reading, partial(_decode_reading, host, context))
+        except HostError as error:
+            readings.drop(host.name)
+            value = error
+        answer = HostAnswer(host=host, value=value, ended=reading.said_at, seconds=0.0)
+        answers[host.name] = answer
+        options.on_host(host.name, _get_sample(answer), 0.0)
+    return answers
+
+
+def _decode_reading(host: Host, context: _ProbeContext, reading: "Reading") -> DecodedProbe:
+    came_at = context.clock() - (time.monotonic() - reading.came_at)
+    reply = HostReply(host=host, document=reading.document, seconds=0.0)
+    return _decode_reply(reply, dataclasses.replace(context, clock=lambda: came_at))
+
+
 def _build_request(host: Host, context: _ProbeContext) -> dict[str, object]:
+    readings = context.options.readings
+    if readings is not None and context.lease is None:
+        return readings.build_request(host.name, lambda: _build_single_request(host, context))
+    return _build_single_request(host, context)
+
+
+def _build_single_request(host: Host, context: _ProbeContext) -> dict[str, object]:
     request = build_probe_request(
         host,
         context.inventory,
@@ -203,13 +264,14 @@ def _decode_reply(reply: HostReply, context: _ProbeContext) -> DecodedProbe:
     host, document = reply.host, reply.document
     if context.lease is not None:
         context.lease.take_reply(host.name, document.get("lease"))
+    probe = decode_probe(document, host)
     return DecodedProbe(
-        sample=decode_host_sample(document, _build_reply_context(host, context)),
-        links=decode_link_ends(document),
-        done=decode_done_tasks(document, list_checked_tasks(context.tasks, host, elsewhere=True)),
-        unowned=decode_unowned_tasks(document),
-        former=decode_former_names(document),
-        elsewhere=decode_names_elsewhere(document),
+        sample=build_host_sample(probe, document, _build_reply_context(host, context)),
+        links=LinkEnds(links=probe.links, peers=probe.peers),
+        done=list_done_tasks(probe) & list_checked_tasks(context.tasks, host, elsewhere=True),
+        unowned=frozenset(probe.unowned),
+        former=frozenset(probe.former),
+        elsewhere=frozenset(probe.grants.names),
         latencies=decode_latencies(document),
     )
 
@@ -225,6 +287,9 @@ def _adopt_and_ask_again(answers: _Answers, context: _ProbeContext) -> _Answers:
         for name, error in adopted.items()
         if error is not None
     }
+    if context.options.readings is not None:
+        for name in adopted:
+            context.options.readings.drop(name)
     return refused | _ask_hosts([answers[name].host for name in adopted if name not in refused], context)
 
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Set
 from dataclasses import field, replace
 
 from edgectl.dataclass import dataclass
-from edgectl.gateway.replies import LinkReply, PeerReply, ProbeReply, ReplyDocument, decode_reply
+from edgectl.gateway.replies import LinkReply, PeerReply
 from edgectl.model.link_reading import LinkObservation
 
 
@@ -15,16 +15,6 @@ class LinkEnds:
 
     links: Mapping[str, LinkReply] = field(default_factory=dict)
     peers: Mapping[str, PeerReply] = field(default_factory=dict)
-
-
-def decode_link_ends(document: ReplyDocument) -> LinkEnds:
-    """What one host reports of its links.
-
-    Raises:
-        ReplyError: the reply is no probe.
-    """
-    reply = decode_reply(ProbeReply, document)
-    return LinkEnds(links=reply.links, peers=reply.peers)
 
 
 def join_link_ends(

@@ -83,8 +83,25 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
     Raises:
         ReplyError: a value is missing, of the wrong type or out of range, or the document is of another host.
     """
-    _check_origin(document, context.host)
-    reply = decode_reply(ProbeReply, document)
+    return build_host_sample(decode_probe(document, context.host), document, context)
+
+
+def decode_probe(document: ReplyDocument, host: Host) -> ProbeReply:
+    """The reply of ``host`` to a probe.
+
+    Raises:
+        ReplyError: as `decode_host_sample`.
+    """
+    _check_origin(document, host)
+    return decode_reply(ProbeReply, document)
+
+
+def build_host_sample(reply: ProbeReply, document: ReplyDocument, context: ReplyContext) -> HostSample:
+    """As `decode_host_sample`, of a ``document`` that is decoded.
+
+    Raises:
+        ReplyError: as `decode_host_sample`.
+    """
     tasks = build_task_samples(
         reply, context.answered_at, detected=context.detected, reopened=context.reopened
     )
@@ -113,7 +130,7 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
         foreign_tasks=tuple(each for each in reply.other_tasks if each.fleet != context.host.fleet),
         totals=_build_totals(reply.totals, context.host),
     )
-    return apply_done_tasks(sample, _list_done_tasks(reply) & context.checked)
+    return apply_done_tasks(sample, list_done_tasks(reply) & context.checked)
 
 
 def _build_totals(reply: TotalsReply | None, host: Host) -> UsageTotals | None:
@@ -134,43 +151,8 @@ def _check_origin(document: ReplyDocument, host: Host) -> None:
         )
 
 
-def decode_done_tasks(document: ReplyDocument, asked: frozenset[str]) -> frozenset[str]:
-    """Tasks of ``asked`` whose ``done_when`` check succeeded on this host.
-
-    Raises:
-        ReplyError: the reply is no probe.
-    """
-    return _list_done_tasks(decode_reply(ProbeReply, document)) & asked
-
-
-def decode_unowned_tasks(document: ReplyDocument) -> frozenset[str]:
-    """Tasks on this host that the first release started and no fleet has adopted.
-
-    Raises:
-        ReplyError: the reply is no probe.
-    """
-    return frozenset(decode_reply(ProbeReply, document).unowned)
-
-
-def decode_former_names(document: ReplyDocument) -> frozenset[str]:
-    """The former names of this host that it has adopted (ADR 0058).
-
-    Raises:
-        ReplyError: the reply is no probe.
-    """
-    return frozenset(decode_reply(ProbeReply, document).former)
-
-
-def decode_names_elsewhere(document: ReplyDocument) -> frozenset[str]:
-    """The names that this host has in the inventories of other managers.
-
-    Raises:
-        ReplyError: the reply is no probe.
-    """
-    return frozenset(decode_reply(ProbeReply, document).grants.names)
-
-
-def _list_done_tasks(reply: ProbeReply) -> frozenset[str]:
+def list_done_tasks(reply: ProbeReply) -> frozenset[str]:
+    """Tasks whose ``done_when`` check succeeded on this host, whoever asked for it."""
     return frozenset(name for name, check in reply.checks.items() if check.exit == 0)
 
 

@@ -250,15 +250,16 @@ class ArrayTotals:
         top = int(self.row.argmax())
         return top if is_feasible_total(self.row[top]) else None
 
-    def list_at_least(self, level: float) -> list[int]:
-        """The places whose total is ``level`` or more, which the greatest is, in order."""
+    def list_at_least(self, level: float, first: int) -> list[int]:
+        """The places whose total is ``level`` or more, in order. ``first``: the first of the greatest, which
+        is one of them.
+        """
         row = self.row
-        first = int(row.argmax())
         top, row[first] = row[first], EXCLUDED_TOTAL
         second = row[row.argmax()]
         row[first] = top
         if second < level:
-            return [first]  # the common case: two scans that make no array
+            return [first]  # the common case: a scan that makes no array
         places: list[int] = (row >= level).nonzero()[0].tolist()
         return places
 

@@ -73,7 +73,8 @@ def assign(
         ValueError: the tasks' needs form a cycle, or the weights are not usable (validation of the files
             finds both).
     """
-    with pause_collection():
+    large = len(inventory.edges) * len(tasks.tasks) >= MIN_ARRAY_PAIRS
+    with pause_collection(large=large):
         prepared = prepare_plan(inventory, tasks, snapshot, manager, policy, now, explain=explain)
         return decide_plan(prepared, tasks, solve)
 

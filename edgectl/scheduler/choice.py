@@ -64,7 +64,7 @@ def find_best_place(candidates: CandidateSet) -> int | None:
     first = candidates.totals.find_top()
     if first is None:
         return None
-    tied = candidates.totals.list_at_least(candidates.totals[first] - EPSILON)
+    tied = candidates.totals.list_at_least(candidates.totals[first] - EPSILON, first)
     return first if len(tied) == 1 else order_tied_places(candidates, tied)[0]
 
 

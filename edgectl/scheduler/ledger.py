@@ -30,8 +30,9 @@ class Ledger:
     ``free`` and ``free_links`` hold (Delta - gamma) / Delta of the same, kept in step; so does ``weighted``,
     the sum of weight x free share over the resources of each place, once ``weigh_free`` has named weights, of
     which ``weighed`` are those that are not 0.
-    ``tasks`` counts those that make gamma, by place. ``mirror`` holds the free shares as arrays, for fleets
-    of very many pairs (ADR 0076); a copy has none.
+    ``least`` and ``least_links``: bounds below the free shares of all edges, of what `bound_free` and
+    `bound_free_link` have been asked for. ``tasks`` counts those that make gamma, by place. ``mirror`` holds
+    the free shares as arrays, for fleets of very many pairs (ADR 0076); a copy has none.
     """
 
     fleet: Capacities
@@ -43,6 +44,8 @@ class Ledger:
     weights: Weights | None = None
     weighed: tuple[tuple[str, float], ...] = ()
     weighted: list[float] = field(default_factory=list)
+    least: dict[str, float] = field(default_factory=dict)
+    least_links: dict[str, float] = field(default_factory=dict)
     mirror: "FreeArrays | None" = None
 
     def copy(self) -> "Ledger":
@@ -101,6 +104,18 @@ class Ledger:
                 self._weigh(place)
         return self.weighted
 
+    def bound_free(self, name: str) -> float:
+        """No edge has less free of resource ``name``: what had the least may have more by now."""
+        if name not in self.least:
+            self.least[name] = min(self.free[name][: self.fleet.edges], default=0.0)
+        return self.least[name]
+
+    def bound_free_link(self, robot: str) -> float:
+        """No link to ``robot`` has less free."""
+        if robot not in self.least_links:
+            self.least_links[robot] = min(self.free_links[robot], default=0.0)
+        return self.least_links[robot]
+
     def _weigh(self, place: int) -> None:
         if self.weights is not None:
             total = 0.0
@@ -128,12 +143,16 @@ class Ledger:
     def _set(self, place: int, name: str, amount: float) -> None:
         self.used[name][place] = amount
         share = self.free[name][place] = compute_free_share(self.fleet.usable[name][place], amount)
+        if name in self.least and share < self.least[name]:
+            self.least[name] = share
         if self.mirror is not None:
             self.mirror.set_free(place, name, share)
 
     def _set_link(self, place: int, robot: str, rate: float) -> None:
         self.links[robot][place] = rate
         share = self.free_links[robot][place] = compute_free_share(self.fleet.links[robot][place], rate)
+        if robot in self.least_links and share < self.least_links[robot]:
+            self.least_links[robot] = share
         if self.mirror is not None:
             self.mirror.set_link(place, robot, share)
 

@@ -54,7 +54,7 @@ def find_challenger(candidates: CandidateSet, chosen: int | None) -> ScoredPlace
     if second is None:
         return None
     # The ranking orders equal totals by the tie rule: those that may be equal to the second are looked at.
-    near = others.list_at_least(others[second] - 2 * EPSILON)
+    near = others.list_at_least(others[second] - 2 * EPSILON, second)
     if len(near) == 1:
         return score_place(candidates, second)
     if chosen is not None and is_feasible_total(candidates.totals[chosen]):

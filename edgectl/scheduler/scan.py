@@ -39,12 +39,13 @@ class ListTotals(list[float]):
         top = max(self, default=EXCLUDED_TOTAL)
         return self.index(top) if is_feasible_total(top) else None
 
-    def list_at_least(self, level: float) -> list[int]:
-        """The places whose total is ``level`` or more, which the greatest is, in order."""
-        first = self.index(max(self))
+    def list_at_least(self, level: float, first: int) -> list[int]:
+        """The places whose total is ``level`` or more, in order. ``first``: the first of the greatest, which
+        is one of them.
+        """
         others = max(self[:first], default=EXCLUDED_TOTAL), max(self[first + 1 :], default=EXCLUDED_TOTAL)
         if max(others) < level:
-            return [first]  # the common case: three scans in C instead of one in Python
+            return [first]  # the common case: a scan in C instead of one in Python
         return [place for place, total in enumerate(self) if total >= level]
 
     def exclude(self, places: Collection[int]) -> None:
@@ -62,6 +63,13 @@ def is_feasible_total(total: float) -> bool:
     return total > -INFEASIBLE_PENALTY / 2
 
 
+class ShareRow(NamedTuple):
+    """A demand as a share of capacity by edge, and the greatest of these shares."""
+
+    shares: Row
+    greatest: float
+
+
 @dataclass(slots=True, kw_only=True)
 class DemandShares:
     """Demands as shares of capacity, filled as they are first asked for.
@@ -77,33 +85,38 @@ class DemandShares:
     fleet: Capacities
     ones: list[float]
     zeros: list[float]
-    rows: dict[object, list[float]] = field(default_factory=dict)
+    rows: dict[object, ShareRow] = field(default_factory=dict)
     weighted: dict[object, Row] = field(default_factory=dict)
     inverse_links: dict[str, list[float]] = field(default_factory=dict)
-    links: dict[object, list[float]] = field(default_factory=dict)
+    links: dict[object, ShareRow] = field(default_factory=dict)
     groups: EdgeGroups | None = None
     link_groups: dict[str, EdgeGroups] = field(default_factory=dict)
 
     def of_host(self, task: Task, resource: str) -> Row:
         """D / Delta of a resource of hosts at every edge."""
-        row = self._get_stated_row(task, resource)
+        return self.find_host_row(task, resource).shares
+
+    def find_host_row(self, task: Task, resource: str) -> ShareRow:
+        """`of_host`, and its greatest."""
+        found = self._get_stated_row(task, resource)
         floor = self.fleet.floors.get(task.name)
         if floor is None or resource not in floor.used:
-            return row
-        return _raise_shares(row, floor.used[resource], self.fleet.usable[resource])
+            return found
+        return _rate_row(_raise_shares(found.shares, floor.used[resource], self.fleet.usable[resource]))
 
-    def _get_stated_row(self, task: Task, resource: str) -> Row:
+    def _get_stated_row(self, task: Task, resource: str) -> ShareRow:
         """Rho / Delta of a resource of hosts at every edge."""
         if task.name in self.fleet.demands:
             groups = self._group_hosts()
-            return groups.expand(self._list_measured_shares(task, resource, groups))
+            shares = self._list_measured_shares(task, resource, groups)
+            return ShareRow(groups.expand(shares), max(shares, default=0.0))
         quantity = task.demand[resource] or ZERO
         key = resource, quantity.value, quantity.relative
         row = self.rows.get(key)
         if row is None:
             raw = self.fleet.raw[resource]
             amounts = [quantity.of(capacity) for capacity in raw[: self.fleet.edges]]
-            row = _build_share_row(amounts, self.fleet.usable[resource])
+            row = _rate_row(_build_share_row(amounts, self.fleet.usable[resource]))
             self._keep(self.rows, key, row)
         return row
 
@@ -124,7 +137,7 @@ class DemandShares:
             for edge in groups.first
         ]
 
-    def _keep(self, cache: dict[object, Any], key: object, row: Row) -> None:
+    def _keep(self, cache: dict[object, Any], key: object, row: Row | ShareRow) -> None:
         if len(cache) * self.fleet.edges > MAX_CACHED_SHARES:
             cache.clear()
         cache[key] = row
@@ -152,13 +165,17 @@ class DemandShares:
 
     def of_link(self, task: Task, robot: str) -> Row:
         """D / Delta of every edge's link to ``robot``."""
-        row = self._get_stated_link_row(task, robot)
+        return self.find_link_row(task, robot).shares
+
+    def find_link_row(self, task: Task, robot: str) -> ShareRow:
+        """`of_link`, and its greatest."""
+        found = self._get_stated_link_row(task, robot)
         floor = self.fleet.floors.get(task.name)
         if floor is None or robot not in floor.links:
-            return row
-        return _raise_shares(row, floor.links[robot], self.fleet.links[robot])
+            return found
+        return _rate_row(_raise_shares(found.shares, floor.links[robot], self.fleet.links[robot]))
 
-    def _get_stated_link_row(self, task: Task, robot: str) -> Row:
+    def _get_stated_link_row(self, task: Task, robot: str) -> ShareRow:
         """Rho / Delta of every edge's link to ``robot``."""
         if task.name in self.fleet.demands:
             return self._build_measured_link_row(task, robot)
@@ -166,23 +183,20 @@ class DemandShares:
         key = robot, quantity.value, quantity.relative
         row = self.links.get(key)
         if row is None:
-            row = self._build_link_row(quantity, robot)
+            row = _rate_row(self._build_link_row(quantity, robot))
             self._keep(self.links, key, row)
         return row
 
-    def _build_measured_link_row(self, task: Task, robot: str) -> Row:
+    def _build_measured_link_row(self, task: Task, robot: str) -> ShareRow:
         fleet, nominal, now = self.fleet, self.fleet.nominal_links[robot], self.fleet.links[robot]
         groups = self.link_groups.get(robot)
         if groups is None:
             groups = self.link_groups[robot] = group_edges((fleet.classes, nominal, now), fleet.edges)
-        return groups.expand(
-            [
-                _divide(
-                    (demand_at(fleet, task, edge)[NETWORK.name] or ZERO).of(nominal[edge] or 0.0), now[edge]
-                )
-                for edge in groups.first
-            ]
-        )
+        shares = [
+            _divide((demand_at(fleet, task, edge)[NETWORK.name] or ZERO).of(nominal[edge] or 0.0), now[edge])
+            for edge in groups.first
+        ]
+        return ShareRow(groups.expand(shares), max(shares, default=0.0))
 
     def _build_link_row(self, quantity: Quantity, robot: str) -> list[float]:
         units = self._per_nominal(robot) if quantity.relative else self._per_byte(robot)
@@ -202,6 +216,10 @@ class DemandShares:
                 1.0 / capacity if capacity else 0.0 for capacity in self.fleet.links[robot]
             ]
         return self.inverse_links[robot]
+
+
+def _rate_row(shares: Row) -> ShareRow:
+    return ShareRow(shares, max(shares, default=0.0))
 
 
 def build_demand_shares(fleet: Capacities) -> DemandShares:
@@ -241,11 +259,13 @@ def _raise_shares(row: Row, amount: float, capacities: Sequence[float | None]) -
 class ResourceRows(NamedTuple):
     """Free and demanded share of one resource by edge: UT is their difference.
 
-    The free row of a host's resource goes on to the robots.
+    The free row of a host's resource goes on to the robots. ``fits``: it is certain that UT is nowhere below
+    0; False says nothing.
     """
 
     free: Row
     demanded: Row
+    fits: bool = False
 
 
 def list_limiting_resources(fleet: Capacities, task: Task) -> Sequence[str]:
@@ -269,15 +289,26 @@ def list_uncounted_demands(fleet: Capacities, task: Task) -> list[str]:
 def _find_link_rows(ledger: Ledger, shares: DemandShares, task: Task) -> ResourceRows:
     """The rows of the only link; the worst of several, with the demand taken off; 1 without a robot."""
     if not task.robots:
-        return ResourceRows(shares.ones, shares.zeros)
+        return ResourceRows(shares.ones, shares.zeros, fits=True)
     if any(robot not in ledger.free_links for robot in task.robots):
         return ResourceRows([NO_FREE_SHARE] * ledger.fleet.edges, shares.zeros)
-    rows = [ResourceRows(ledger.free_links[robot], shares.of_link(task, robot)) for robot in task.robots]
+    rows = [_find_link_row(ledger, shares, task, robot) for robot in task.robots]
     if len(rows) == 1:
         return rows[0]
     return ResourceRows(
         [min(column) for column in zip(*map(_subtract_rows, rows), strict=True)], shares.zeros
     )
+
+
+def _find_link_row(ledger: Ledger, shares: DemandShares, task: Task, robot: str) -> ResourceRows:
+    demanded, greatest = shares.find_link_row(task, robot)
+    fits = greatest <= ledger.bound_free_link(robot)
+    return ResourceRows(ledger.free_links[robot], demanded, fits)
+
+
+def _find_host_row(ledger: Ledger, shares: DemandShares, task: Task, name: str) -> ResourceRows:
+    demanded, greatest = shares.find_host_row(task, name)
+    return ResourceRows(ledger.free[name], demanded, fits=greatest <= ledger.bound_free(name))
 
 
 def _subtract_rows(rows: ResourceRows) -> list[float]:
@@ -291,7 +322,7 @@ def compute_resource_totals(
     """``offset`` plus the resource part of the total at every edge, less the penalty where the task does not
     fit.
     """
-    rows = _list_resource_rows(ledger, shares, task)
+    rows = list_resource_rows(ledger, shares, task)
     totals = _add_terms(ledger, shares, task, weights, rows[-1], offset)
     for edge in _find_infeasible_edges(rows):
         totals[edge] -= INFEASIBLE_PENALTY
@@ -310,7 +341,11 @@ def _add_terms(
 ) -> list[float]:
     weight = weights[NETWORK.name]
     columns = zip(
-        ledger.weigh_free(weights), shares.of_weighted(task, weights), *links, strict=False
+        ledger.weigh_free(weights),
+        shares.of_weighted(task, weights),
+        links.free,
+        links.demanded,
+        strict=False,
     )  # the free rows go on to the robots
     return [
         offset + free - demanded + weight * (free_link - demanded_link)
@@ -318,11 +353,10 @@ def _add_terms(
     ]
 
 
-def _list_resource_rows(ledger: Ledger, shares: DemandShares, task: Task) -> list[ResourceRows]:
+def list_resource_rows(ledger: Ledger, shares: DemandShares, task: Task) -> list[ResourceRows]:
     """The rows of every resource of hosts that may limit the task, and of the links as the last."""
     rows = [
-        ResourceRows(ledger.free[name], shares.of_host(task, name))
-        for name in list_limiting_resources(ledger.fleet, task)
+        _find_host_row(ledger, shares, task, name) for name in list_limiting_resources(ledger.fleet, task)
     ]
     rows.append(_find_link_rows(ledger, shares, task))
     return rows
@@ -333,7 +367,7 @@ def _find_infeasible_edges(rows: Sequence[ResourceRows]) -> set[int]:
     return {
         edge
         for row in rows
-        if any(map(lt, *row))
+        if not row.fits and any(map(lt, row.free, row.demanded))
         for edge, term in enumerate(_subtract_rows(row))
         if term < -EPSILON
     }
@@ -341,4 +375,4 @@ def _find_infeasible_edges(rows: Sequence[ResourceRows]) -> set[int]:
 
 def compute_worst_terms(ledger: Ledger, shares: DemandShares, task: Task) -> list[float]:
     """The least UT of the resources at every edge: how far the task is from fitting."""
-    return list(map(min, *map(_subtract_rows, _list_resource_rows(ledger, shares, task))))
+    return list(map(min, *map(_subtract_rows, list_resource_rows(ledger, shares, task))))

@@ -119,6 +119,10 @@ class OpenExchange(Exchange, Protocol):
         """
         ...
 
+    def expect_more(self, size: int) -> None:
+        """Let the command send at least ``size`` more bytes."""
+        ...
+
 
 @runtime_checkable
 class ConversableSession(Session, Protocol):

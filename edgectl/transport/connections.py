@@ -13,13 +13,16 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import field
 from functools import partial
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from edgectl.dataclass import dataclass
 from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError, HostKeyError
 from edgectl.model.inventory import Host
 from edgectl.transport.backoff import compute_backoff_s
 from edgectl.transport.base import Exchange, Reply, Session, Transport
+
+if TYPE_CHECKING:
+    from edgectl.transport.readings import ReadingFeeds
 
 # sshd allows 10 channels on a connection (MaxSessions); some stay free for others.
 _MAX_CHANNELS = 8
@@ -159,10 +162,14 @@ class SessionPool:
         forget_s: float = math.inf,
         clock: Callable[[], float] = time.monotonic,
         converse: bool = False,
+        feeds: "ReadingFeeds | None" = None,
     ) -> None:
-        """``converse``: an agent stays on each host while requests that read follow each other closely."""
+        """``converse``: an agent stays on each host while requests that read follow each other closely;
+        ``feeds`` receive what it says by itself.
+        """
         self._transport = transport
         self._converse = self._converses = converse
+        self._feeds = feeds
         self._forget_s = forget_s
         self._clock = clock
         self._staying: dict[str, set[str]] = {}
@@ -211,7 +218,7 @@ class SessionPool:
         from edgectl.transport.conversation import share_agent
 
         with self._lock:
-            return _Connection(share_agent(session, host, self.address, self._staying))
+            return _Connection(share_agent(session, host, self.address, self._staying, self._feeds))
 
     def expect_requests(self, hosts: Iterable[Host]) -> None:
         """Begin an agent that stays on each connected one of ``hosts``: many requests follow, also changes.

@@ -16,6 +16,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Self
 
 from edgectl.agent.link import frames, protocol
@@ -29,6 +30,7 @@ from edgectl.transport.agent_client import (
     split_frame,
 )
 from edgectl.transport.base import ConversableSession, Exchange, OpenExchange, Reply, Session
+from edgectl.transport.readings import ReadingFeed, ReadingFeeds
 
 # Seconds. Requests farther apart are cheaper as calls: to keep an agent costs a pulse each 0.6 s.
 KEEP_S = 6.0
@@ -88,7 +90,7 @@ class Conversation:
         self._session, self._greeting = session, greeting
         self._open, self._decided = False, threading.Event()
         self._exchange: OpenExchange | None = None
-        self._questions: dict[int, _Question] = {}
+        self._questions: dict[int, _Question | ReadingFeed] = {}
         self._numbers = itertools.count(1)
         self._refused = 0
         self._used_at = time.monotonic()
@@ -100,16 +102,24 @@ class Conversation:
         """Wait, at most so long, until it is open or over."""
         self._decided.wait(seconds)
 
-    def ask(self, packet: bytes, *, timeout: float, limit: int, changes: bool = False) -> bytes | None:
+    def ask(
+        self,
+        packet: bytes,
+        *,
+        timeout: float,
+        limit: int,
+        changes: bool = False,
+        feed: ReadingFeed | None = None,
+    ) -> bytes | None:
         """The output of one request; None where it needs a call of its own.
 
-        ``packet``: as of `build_packet`, without the programs.
+        ``packet``: as of `build_packet`, without the programs. ``feed``: for more replies after the first.
 
         Raises:
             DeadlineError: no reply within ``timeout`` seconds.
             ConnectError: nobody knows whether a request that ``changes`` something was carried out.
         """
-        question, deadline = _Question(limit), time.monotonic() + timeout
+        question, deadline = feed or _Question(limit), time.monotonic() + timeout
         with self._lock:
             exchange, number = self._exchange, next(self._numbers)
             if not self._open or exchange is None:
@@ -123,11 +133,22 @@ class Conversation:
                     raise DeadlineError(f"no answer within {timeout:.3g} s")
         finally:
             with self._lock:
-                del self._questions[number]
+                if feed is None or not feed.whole:
+                    self._questions.pop(number, None)
                 self._used_at = time.monotonic()
         if changes and not question.whole and not question.refused:
             raise ConnectError("the agent ended before it had replied")
+        if feed is not None and feed.whole:
+            feed.drop = lambda: self._drop(exchange, number)
         return bytes(question.output) if question.whole else None
+
+    def _drop(self, exchange: OpenExchange, number: int) -> None:
+        """Tell the agent that nobody listens to a feed any more."""
+        with self._lock:
+            found = self._questions.pop(number, None)
+        if found is not None:
+            with contextlib.suppress(HostError):
+                self._say(exchange, frames.build_frame(frames.DROP, number), _PATIENCE_S)
 
     def give_way(self) -> None:
         """End for good: the host has no room for a conversation beside other calls."""
@@ -204,7 +225,7 @@ class Conversation:
         reader, pulse_at = frames.FrameReader(frames.HOST_WORDS), 0.0
         while not self.is_over:
             for word, number, body in reader.feed(data):
-                self._hear(word, number, body)
+                self._hear(exchange, word, number, body)
             now, data = time.monotonic(), b""
             if now >= pulse_at:
                 if self._is_idle():
@@ -224,7 +245,7 @@ class Conversation:
             self._open = self._open and not idle
         return idle
 
-    def _hear(self, word: str, number: int, body: bytes) -> None:
+    def _hear(self, exchange: OpenExchange, word: str, number: int, body: bytes) -> None:
         with self._lock:
             question = self._questions.get(number)
         if question is None:
@@ -232,10 +253,15 @@ class Conversation:
             return
         if word == frames.OUTPUT:
             question.add(body)
+            if isinstance(question, ReadingFeed):
+                exchange.expect_more(frames.MAX_FRAME_BYTES)
             return
         question.refused = word == frames.REFUSED
         self._refused = self._refused + 1 if question.refused else 0
         question.end(whole=word == frames.END and body == b"0")
+        if isinstance(question, ReadingFeed):
+            with self._lock:
+                self._questions.pop(number, None)
         if self._refused >= _MAX_REFUSED:
             self.give_way()
 
@@ -261,8 +287,11 @@ class Conversation:
 class ConversingSession:
     """A session whose reading requests go to one agent that stays, once they follow each other closely."""
 
-    def __init__(self, session: ConversableSession) -> None:
-        self._session = session
+    def __init__(
+        self, session: ConversableSession, put_feed: Callable[[ReadingFeed], None] | None = None
+    ) -> None:
+        """``put_feed`` takes the feed of each request for readings that the agent serves."""
+        self._session, self._put_feed = session, put_feed
         self._lock = threading.Lock()
         self._conversation: Conversation | None = None
         self._closed = self._expecting = False
@@ -298,8 +327,11 @@ class ConversingSession:
                 conversation.await_open(min(timeout, self._begun_at + PATIENCE_S - time.monotonic()))
             left = deadline - time.monotonic()
             if conversation is not None and left > 0:
-                output = conversation.ask(packet, timeout=left, limit=limit, changes=changes)
+                feed = self._make_feed(packet, limit)
+                output = conversation.ask(packet, timeout=left, limit=limit, changes=changes, feed=feed)
                 if output is not None:
+                    if feed is not None and self._put_feed is not None:
+                        self._put_feed(feed)
                     return Reply(stdout=output, stderr=b"", status=0)
             left = deadline - time.monotonic()
             if left <= 0:
@@ -335,6 +367,13 @@ class ConversingSession:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
+    def _make_feed(self, packet: bytes, limit: int) -> ReadingFeed | None:
+        """A feed for a request for readings; None for any other."""
+        words = packet.partition(b"\n")[0].decode("ascii").split()
+        if self._put_feed is None or words[-1] != protocol.OP_READINGS:
+            return None
+        return ReadingFeed(marker=words[0], limit=limit)
+
     def _find_conversation(self, packet: bytes) -> Conversation | None:
         """The conversation, if there is one; begins one where that may pay, which this request does not wait
         for.
@@ -353,11 +392,16 @@ class ConversingSession:
 
 
 def share_agent(
-    session: Session, host: Host, address: Callable[[Host], str], staying: dict[str, set[str]]
+    session: Session,
+    host: Host,
+    address: Callable[[Host], str],
+    staying: dict[str, set[str]],
+    feeds: ReadingFeeds | None = None,
 ) -> Session:
     """``session`` with an agent that stays, if it can keep one and not too many do.
 
     ``staying``: the names of the hosts whose agents may, by what they share; that of ``host`` is added.
+    ``feeds`` receive what the agent says by itself.
     """
     if not isinstance(session, ConversableSession):
         return session
@@ -370,7 +414,7 @@ def share_agent(
         if len(names) >= count and host.name not in names:
             return session
         names.add(host.name)
-    return ConversingSession(session)
+    return ConversingSession(session, None if feeds is None else partial(feeds.put, host.name))
 
 
 def _find_packet(stdin: bytes) -> tuple[bytes | None, bool]:

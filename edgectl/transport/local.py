@@ -178,6 +178,9 @@ class LocalExchange:
         del timeout, limit
         return contextlib.nullcontext()
 
+    def expect_more(self, size: int) -> None:
+        """As ``OpenExchange.expect_more``."""
+
     def finish(self, data: bytes, *, timeout: float) -> None:
         """As ``Exchange.finish``."""
         self.write(data, timeout=timeout)

@@ -228,6 +228,10 @@ class SshExchange:
         with session.allowance.grant(get_most_bytes(limit)), watchdog(timeout + GRACE_S, session.cut):
             yield
 
+    def expect_more(self, size: int) -> None:
+        """As ``OpenExchange.expect_more``."""
+        self._session.allowance.renew(size)
+
     def finish(self, data: bytes, *, timeout: float) -> None:
         """As ``Exchange.finish``."""
         with self._session.translate_errors(timeout):

@@ -14,7 +14,8 @@ import edgectl.scheduler.repair  # noqa: F401
 from edgectl.dataclass import dataclass
 from edgectl.errors import CoordinationError, EdgectlError, LockBusyError, WatchedError
 from edgectl.executor.dependencies import add_dependent_starts
-from edgectl.gateway.host_probe import ProbeOptions
+from edgectl.gateway.host_probe import DecodedProbe, ProbeOptions
+from edgectl.gateway.readings import MAX_EVERY_S, FleetReadings
 from edgectl.gateway.smoothing import smooth_snapshot
 from edgectl.model.cycle import Cycle
 from edgectl.model.plan import Action, Plan
@@ -26,6 +27,7 @@ from edgectl.state.lock import FleetLock
 from edgectl.transport.backoff import compute_backoff_s
 from edgectl.transport.connections import REFUSED_BACKOFF_S, BackoffTransport, SessionPool
 from edgectl.transport.fleet_lease import WatchNote
+from edgectl.transport.readings import ReadingFeeds
 from edgectl.usecases.control import Control, ControlRequest
 from edgectl.usecases.failover_wake import (
     FailoverStage,
@@ -155,9 +157,13 @@ class _WatchLoop:
     def _take(self, fleet: Fleet) -> None:
         """Switch to ``fleet`` with new connections; heartbeats go on over these while a cycle waits."""
         self._heartbeats.close()
+        feeds = ReadingFeeds()
         self._pool = SessionPool(
-            fleet.transport, forget_s=REFUSED_BACKOFF_S, clock=self._now_of(fleet), converse=True
+            fleet.transport, forget_s=REFUSED_BACKOFF_S, clock=self._now_of(fleet), converse=True, feeds=feeds
         )
+        # A plan that is applied is made from what hosts were asked: that renews the hold of the fleet, too.
+        pushed = not self._options.apply and self._options.every <= MAX_EVERY_S
+        self._readings = FleetReadings[DecodedProbe](feeds, every=self._options.every) if pushed else None
         self._patient = BackoffTransport(self._pool, clock=self._now_of(fleet))
         self._fleet = dataclasses.replace(fleet, transport=self._pool, warn=self._said.append)
         self._heartbeats.enter_context(send_heartbeats(self._fleet, lambda: self._answering))
@@ -302,7 +308,7 @@ class _WatchLoop:
 
     def _sample(self, fleet: Fleet) -> Snapshot:
         """Probe the fleet; unreachable hosts are retried with back-off."""
-        options = dataclasses.replace(self._options.probe, probe_idle_links=True)
+        options = dataclasses.replace(self._options.probe, probe_idle_links=True, readings=self._readings)
         times = self._list_failover_times()
         for host, seconds in list_rested_hosts(times, self._stages, options.timeout).items():
             self._patient.extend_rest(host, seconds)

@@ -156,13 +156,19 @@ def test_a_command_imports_and_compiles_no_more_than(
         (("probe", "--window", "0"), ["login", "probe"]),
         (("plan",), ["login", "probe"]),
         (("status",), ["login", "probe"]),
+        (("logs", "beat"), ["login", "status", "logs"]),
     ],
     ids=lambda value: value[0] if value and isinstance(value, tuple) else "",
 )
 def test_a_command_asks_each_host_once(
     fleet: tuple[Path, dict[str, str]], words: tuple[str, ...], wanted: list[str]
 ) -> None:
-    """Over one connection, and with one process per name: ssh says what its configuration makes of host and robot."""
+    """Over one connection, and with one process per name: ssh says what its configuration makes of host and robot.
+    Logs need no robot.
+    """
+    if words[0] == "logs":
+        start(*fleet, "apply", "-y")
     seen = start(*fleet, *words)
     assert seen.requests == wanted
-    assert (seen.connections, seen.processes) == ((1, 2) if wanted else (0, 0))
+    names = 1 if words[0] == "logs" else 2
+    assert (seen.connections, seen.processes) == ((1, names) if wanted else (0, 0))

@@ -12,13 +12,13 @@ import pytest
 
 from edgectl.errors import ReplyError
 from edgectl.formats.kinds import SNAPSHOT_KIND
-from edgectl.gateway.link_observations import decode_link_ends, join_link_ends
+from edgectl.gateway.link_observations import LinkEnds, join_link_ends
 from edgectl.gateway.probe_reply import (
     ASSUMED_BYTES_PER_S,
     ReplyContext,
-    decode_done_tasks,
     decode_host_sample,
-    decode_unowned_tasks,
+    decode_probe,
+    list_done_tasks,
 )
 from edgectl.model.inventory import BaseLoad, Capacity, Host
 from edgectl.model.resource import NETWORK
@@ -253,7 +253,8 @@ def test_what_counters_of_a_link_see_of_nobody_is_of_the_tasks_that_they_see_by_
 
 def test_traffic_that_is_partly_seen_does_not_tell_what_a_link_carries() -> None:
     link = {"rx_bytes_per_s": 1e6, "carries_bytes_per_s": 1e6}
-    ends = {"edge1": decode_link_ends(a_document(links={"robot1": link, "robot2": link}))}
+    reply = decode_probe(a_document(links={"robot1": link, "robot2": link}), an_edge("edge1"))
+    ends = {"edge1": LinkEnds(links=reply.links, peers=reply.peers)}
     found = join_link_ends(ends, {("edge1", "robot1")})
     assert [each.carries_bytes_per_s for each in found.values()] == [None, 1e6]
 
@@ -347,10 +348,9 @@ def test_an_odd_entry_of_a_collection_is_left_out(key: str, bad: Any) -> None:
     document, clean = a_document(**{key: spoilt}), a_document(**{key: good[key]})
     context: dict[str, Any] = {"robots": ("robot1", "robot9"), "checked": frozenset({"slam", "nav"})}
     assert decode_document(document, **context) == decode_document(clean, **context)
-    assert decode_unowned_tasks(document) == decode_unowned_tasks(clean)
-    assert decode_done_tasks(document, frozenset({"slam", "nav"})) == decode_done_tasks(
-        clean, frozenset({"slam", "nav"})
-    )
+    found, expected = (decode_probe(each, an_edge("edge1")) for each in (document, clean))
+    assert found.unowned == expected.unowned
+    assert list_done_tasks(found) == list_done_tasks(expected)
 
 
 def test_an_interface_without_a_speed_says_nothing_about_the_link() -> None:
@@ -409,8 +409,6 @@ def test_a_host_has_no_thousands_of_tasks() -> None:
 def test_only_what_was_asked_for_counts() -> None:
     asked = a_document(checks={"slam": {"exit": 0}})
     assert decode_document(asked, checked=frozenset()).tasks["slam"].state is TaskState.READY
-    assert decode_done_tasks(asked, frozenset()) == frozenset()
-    assert decode_done_tasks(asked, frozenset({"slam"})) == {"slam"}
     found = a_document(tasks={"roscore": {"state": "running", "managed": False}})
     assert decode_document(found).tasks == {}
 

@@ -2,6 +2,8 @@
 """The cyclic collector rests while a plan is made, which leaves nothing for it to find (ADR 103)."""
 
 import gc
+import sys
+import weakref
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -33,6 +35,33 @@ def test_the_collector_is_afterwards_as_it_was(enabled: bool) -> None:
 @pause_collection()
 def _fail_in_pause() -> None:
     raise ValueError(f"collector on: {gc.isenabled()}")
+
+
+class _Node:
+    """Part of a cycle."""
+
+    def __init__(self) -> None:
+        self.itself = self
+
+
+def test_what_a_large_plan_makes_is_old_and_what_was_young_before_has_been_looked_at() -> None:
+    gc.collect()
+    lost = weakref.ref(_Node())
+    assert lost() is not None
+    with pause_collection(large=True):
+        made = _Node()
+    assert lost() is None
+    assert not any(each is made for each in gc.get_objects(generation=0))
+    assert any(each is made for each in gc.get_objects())
+
+
+@pytest.mark.skipif(sys.version_info >= (3, 14), reason="looks at all objects in parts, and counts no looks")
+def test_large_plans_do_not_put_off_the_look_at_all_objects() -> None:
+    gc.collect()
+    for plans in range(1, 8):
+        with pause_collection(large=True):
+            pass
+        assert gc.get_count()[2] == plans
 
 
 RANDOM = build_random_fleet(5, 20, seed=3, fill=0.7)

@@ -24,7 +24,13 @@ from edgectl.scheduler.edge_groups import group_edges
 from edgectl.scheduler.ledger import build_measured_ledger, compute_demand_usage
 from edgectl.scheduler.move_cost import collect_handoff_history
 from edgectl.scheduler.policies import POLICIES
-from edgectl.scheduler.scan import EXCLUDED_TOTAL, MAX_CACHED_SHARES, build_demand_shares, is_feasible_total
+from edgectl.scheduler.scan import (
+    EXCLUDED_TOTAL,
+    MAX_CACHED_SHARES,
+    build_demand_shares,
+    is_feasible_total,
+    list_resource_rows,
+)
 from edgectl.scheduler.task_usage import TaskUsage
 from tests.builders import (
     GI,
@@ -129,6 +135,48 @@ def test_shares_are_those_of_each_edge_alone(seed: int) -> None:
         pairs_of_link = zip(uses, fleet.links[robot], strict=True)
         expected = [use.links[robot] / now if now else 0.0 for use, now in pairs_of_link]
         assert list(shares) == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_row_that_fits_for_certain_lacks_nothing_at_any_edge(seed: int) -> None:
+    view = a_view(seed)
+    ledger, task, dice = view.ledger.copy(), view.task, random.Random(seed)
+    edges = [edge for edge in range(ledger.fleet.edges) if edge not in view.denied]
+    for _ in range(12):  # the bounds follow each charge, and stay below after each release
+        rows = list_resource_rows(ledger, view.context.shares, task)
+        for row in rows:
+            lacks = [free < demanded for free, demanded in zip(row.free, row.demanded, strict=False)]
+            assert not (row.fits and any(lacks))
+        assert all(
+            ledger.bound_free(name) <= min(row[: ledger.fleet.edges]) for name, row in ledger.free.items()
+        )
+        assert all(ledger.bound_free_link(robot) <= min(row) for robot, row in ledger.free_links.items())
+        if not edges:
+            break
+        edge = dice.choice(edges)
+        use = compute_demand_usage(ledger.fleet, task, edge)
+        (ledger.charge if dice.random() < 0.7 else ledger.release)(edge, use)
+
+
+def test_rows_are_certain_to_fit_until_an_edge_is_nearly_full() -> None:
+    snapshot = a_snapshot({edge: a_sample(links={"robot1": a_link()}) for edge in ("edge2", "edge1")})
+    inventory = an_inventory(an_edge("edge2"), an_edge("edge1"), a_robot("robot1"))
+    fleet = build_capacities(inventory, snapshot, NO_MEMORY, frozenset())
+    ledger, shares = build_measured_ledger(fleet), build_demand_shares(fleet)
+    task = a_task("task", cpu=1.0, throughput=1e5, robots=["robot1"])  # a quarter of the cores
+
+    def are_certain() -> list[bool]:
+        return [row.fits for row in list_resource_rows(ledger, shares, task)]
+
+    assert all(are_certain())
+    large = TaskUsage(used={"cpu": 3.5})
+    ledger.charge(1, large)
+    assert are_certain() == [False, True, True]
+    ledger.release(1, large)
+    assert are_certain() == [False, True, True]  # bounds do not rise
+    ledger.charge(0, TaskUsage(links={"robot1": fleet.links["robot1"][0] or 0.0}))
+    assert are_certain() == [False, True, False]
+    assert all(row.fits for row in list_resource_rows(build_measured_ledger(fleet), shares, task))
 
 
 def test_edges_are_grouped_by_all_columns() -> None:

@@ -380,6 +380,9 @@ class ScriptedExchange:
             if answer != b"":
                 self._said.put(answer or b"")
 
+    def expect_more(self, size: int) -> None:
+        """Have no limit."""
+
     def finish(self, data: bytes, *, timeout: float) -> None:
         self._said.put(b"")
 

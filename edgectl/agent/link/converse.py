@@ -16,14 +16,14 @@ from . import cache, protocol
 from .boot import FINGERPRINT, AgentImporter, Channel
 from .errors import RefusalError
 from .fast_json import dumps
-from .frames import ASK, END, MANAGER_WORDS, OUTPUT, REFUSED, SILENCE_S, FrameReader, build_frame
+from .frames import ASK, DROP, END, MANAGER_WORDS, OUTPUT, REFUSED, SILENCE_S, FrameReader, build_frame
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Callable, Dict, List, NoReturn, Set, Tuple
 
     # As `main.serve_request`.
-    Serve = Callable[[bytes, Channel, List[str]], None]
+    Serve = Callable[[bytes, Channel, List[str], bool], None]
 
 # More than a manager asks at once; the rest are children that nobody waits for any more.
 _MAX_CHILDREN = 16
@@ -96,15 +96,17 @@ class _StayingAgent:
                 for word, number, body in self._reader.feed(data):
                     if word == ASK:
                         self._begin(number, body)
+                    elif word == DROP:
+                        self.end_children(number)
             if self._channel.fd in ready:
                 self._send()
             for fd in ready.intersection(self._children):
                 self._pass_on(fd)
 
-    def end_children(self) -> None:
-        """End the requests under way that only read: nobody waits for them. A change goes on to its end."""
-        for _, pid, operation in self._children.values():
-            if operation in protocol.CONVERSED_OPS:
+    def end_children(self, only: int = 0) -> None:
+        """End the requests under way that only read, or one: nobody waits for it. A change goes on."""
+        for number, pid, operation in self._children.values():
+            if operation in protocol.CONVERSED_OPS and only in (0, number):
                 os.kill(pid, signal.SIGTERM)
 
     def _wait(self, until: float) -> "Set[int]":
@@ -211,7 +213,7 @@ class _StayingAgent:
             # A timer is not inherited.
             signal.setitimer(signal.ITIMER_REAL, float(words[4]))
             known = len(self._importer.bundle)
-            self._serve_request(request, Channel(words[0]), self._bases)
+            self._serve_request(request, Channel(words[0]), self._bases, True)
             os._exit(_COMPILED if len(self._importer.bundle) != known else 0)
         finally:
             os._exit(1)

@@ -4,12 +4,12 @@
 A frame is the line ``word number length`` and so many bytes. The number is that of a request.
 """
 
-# From the manager: a request, and that the manager is still there.
-ASK, PULSE = "ask", "pulse"
+# From the manager: a request, that nobody waits for its output any more, and that the manager is still there.
+ASK, DROP, PULSE = "ask", "drop", "pulse"
 # From the host: a piece of the output of a request; its end, with the exit status of its process; and that it
 # was not begun.
 OUTPUT, END, REFUSED = "output", "end", "refused"
-MANAGER_WORDS, HOST_WORDS = (ASK, PULSE), (OUTPUT, END, REFUSED)
+MANAGER_WORDS, HOST_WORDS = (ASK, DROP, PULSE), (OUTPUT, END, REFUSED)
 
 # The manager says something at least so often, and the host ends the conversation once it has heard nothing
 # for so long (s): two pulses may come late.

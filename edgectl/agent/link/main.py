@@ -34,8 +34,16 @@ _LACKING = {
 }
 
 
-def serve_request(request: bytes, channel: "Channel", bases: "list[str]") -> None:
-    """Carry out ``request`` and reply on ``channel``; every failure becomes an ``error`` document."""
+def serve_request(
+    request: bytes,
+    channel: "Channel",
+    bases: "list[str]",
+    repeats: bool = False,  # noqa: FBT001, FBT002
+) -> None:
+    """Carry out ``request`` and reply on ``channel``; every failure becomes an ``error`` document.
+
+    ``repeats``: the manager listens for more than one reply (`converse`).
+    """
     try:
         document = fast_json.loads(request.decode("utf-8"))
         if document["op"] == protocol.OP_CONVERSE:
@@ -44,14 +52,9 @@ def serve_request(request: bytes, channel: "Channel", bases: "list[str]") -> Non
             converse(channel, bases, serve_request)
         state_dir.use_fleet(bases, document.get("fleet"))
         heartbeat.record_heartbeat(document["host"])
-        if document["op"] == protocol.OP_FOLLOW:
-            from ..supervise.logs import follow_log
-
-            return follow_log(document, channel)
-        if document["op"] == protocol.OP_READ_STATE:
-            from ..supervise.state_spool import stream_state
-
-            return stream_state(document, channel)
+        stream = _find_stream(document["op"], repeats)
+        if stream is not None:
+            return stream(document, channel)
         operation = _find_operation(document["op"])
         if document["op"] in protocol.HELD_OPS:
             from .hold import Hold
@@ -75,6 +78,19 @@ def serve_request(request: bytes, channel: "Channel", bases: "list[str]") -> Non
             _build_error("too-large", "the reply is larger than 1 MiB", "request less")
         ).encode("ascii")
     return channel.reply(payload)
+
+
+def _find_stream(name: str, repeats: bool) -> "Callable[[Document, Channel], None] | None":  # noqa: FBT001
+    """Find an operation that replies by itself, and more than once."""
+    if name == protocol.OP_FOLLOW:
+        from ..supervise.logs import follow_log as stream
+    elif name == protocol.OP_READ_STATE:
+        from ..supervise.state_spool import stream_state as stream
+    elif repeats and name == protocol.OP_READINGS:
+        from ..measure.readings import send_readings as stream
+    else:
+        return None
+    return stream
 
 
 def _build_os_error(error: OSError) -> Document:
@@ -110,6 +126,8 @@ def _describe_exception(error: Exception) -> str:
 def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C901 - a table of lazy imports
     if name == protocol.OP_PROBE:
         from ..measure.probe import probe_host as operation
+    elif name == protocol.OP_READINGS:
+        from ..measure.readings import measure_once as operation
     elif name == protocol.OP_ADOPT:
         from ..supervise.adoption import adopt_tasks as operation
     elif name == protocol.OP_START:

@@ -31,6 +31,7 @@ OP_PROFILER_START = "profiler-start"
 OP_PROFILER_STATUS = "profiler-status"
 OP_PROFILER_STOP = "profiler-stop"
 OP_PULL = "pull"
+OP_READINGS = "readings"
 OP_READ_STATE = "read-state"
 OP_RUN = "run"
 OP_SAMPLE_LINK = "sample-link"
@@ -56,14 +57,17 @@ CHANGING_OPS = (
 # Those among them that may wait for ``go``.
 HELD_OPS = (OP_ACTIVATE, OP_DEACTIVATE)
 # Those that a conversation carries (`frames.py`): each may be carried out twice without harm.
-CONVERSED_OPS = (OP_LEASE, OP_LOGS, OP_PROBE, OP_STATUS, OP_WAIT)
+CONVERSED_OPS = (OP_LEASE, OP_LOGS, OP_PROBE, OP_READINGS, OP_STATUS, OP_WAIT)
 # Those that one carries where many are expected: the same one twice is one, and it goes on to its end.
 CONVERSED_CHANGES = (OP_MARK, OP_START, OP_STOP)
+# A host says at least so often (s) that a reading is as it was.
+READING_SAID_S = 4.0
 SIGNATURE_KEYS = ("holder", "session", "epoch")
 # Name of the record of the lease in the directory of the fleet.
 LEASE_FILE = "lease"
 CLAIM_KEYS = ("holder", "session", "manager", "revision", "who", "verb", "ttl_s", "watch", "take_over")
 
+_PROBE_REQUEST_KEYS = ("window_s", "links", "peers", "detect", "checks", "latency", "former", "manager")
 # Keys of a request besides ``op``, ``fleet`` and ``host``; OP_PROFILER_RUN and OP_SUPERVISE are requests of
 # the agent to itself.
 REQUEST_KEYS = {
@@ -109,11 +113,12 @@ REQUEST_KEYS = {
     ),
     OP_LOGS: ("task", "tail", "since_s", "previous"),
     OP_MARK: ("task", "instance", "ready", "leaving_s"),
-    OP_PROBE: ("window_s", "links", "peers", "detect", "checks", "latency", "former", "manager"),
+    OP_PROBE: _PROBE_REQUEST_KEYS,
     OP_PROFILER_START: ("every_s", "ttl_s", "links", "peers", "detect"),
     OP_PROFILER_STATUS: ("links", "peers", "detect"),
     OP_PROFILER_STOP: (),
     OP_PULL: ("task", "instance", "image", "timeout_s"),
+    OP_READINGS: (*_PROBE_REQUEST_KEYS, "every_s", "rounds"),
     OP_READ_STATE: ("task", "offset"),
     OP_RUN: ("argv", "timeout_s"),
     OP_SAMPLE_LINK: ("address", "port", "token", "seconds", "rate_bytes_per_s"),

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Probes from readings that hosts send by themselves: which of them count, and what was decoded of them."""
+
+import zlib
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+from edgectl.agent.link import protocol
+from edgectl.transport.readings import Reading, ReadingFeeds
+
+Value = TypeVar("Value")
+Request = dict[str, object]
+# A host is asked anew after so long, and up to half as much later: not all hosts in one cycle (s). A request
+# is a contact, by which a host knows that its manager is there; what a host sends is none.
+_ASK_EACH_S = 30.0
+# At longer periods no agent stays (`transport.conversation`).
+MAX_EVERY_S = 5.0
+
+
+class FleetReadings(Generic[Value]):
+    """The readings of the hosts of one fleet, each ``every`` s; ``feeds`` are those of its connections.
+
+    A reading counts for the very request that it answers. For one thread.
+    """
+
+    def __init__(self, feeds: ReadingFeeds, *, every: float) -> None:
+        self._feeds, self._every = feeds, every
+        self._asked: dict[str, Request] = {}
+        self._decoded: dict[str, tuple[dict[str, object], Value]] = {}
+        self._inputs: tuple[object, ...] = ()
+        self._requests: dict[str, Request] = {}
+
+    def use_inputs(self, inputs: tuple[object, ...]) -> None:
+        """Forget what was made from other ``inputs``: requests, and what was decoded."""
+        if inputs != self._inputs:
+            self._inputs = inputs
+            self._requests.clear()
+            self._decoded.clear()
+
+    def build_request(self, host: str, build: Callable[[], Request]) -> Request:
+        """The request for the readings of a host, made of that for a probe."""
+        if host not in self._requests:
+            spread = 1.0 + zlib.crc32(host.encode()) % 64 / 128
+            rounds = max(1, int(_ASK_EACH_S * spread / self._every))
+            wanted = {"op": protocol.OP_READINGS, "every_s": self._every, "rounds": rounds}
+            self._requests[host] = {**build(), **wanted}
+        return self._requests[host]
+
+    def find(self, host: str, request: Request) -> Reading | None:
+        """What a host says now; None where it must be asked: what it said before does not count then."""
+        feed = self._feeds.find(host)
+        reading = feed.find_reading() if feed is not None else None
+        if reading is not None and self._asked.get(host) == request:
+            return reading
+        self.drop(host)
+        self._asked[host] = request
+        return None
+
+    def measure_silence(self, host: str) -> float:
+        """Seconds for which a host that owes a word has been silent: it need not be waited for as long again.
+        0 where its connection was lost, which may be opened anew.
+        """
+        feed = self._feeds.find(host)
+        return 0.0 if feed is None or feed.is_over else feed.silent_s
+
+    def drop(self, host: str) -> None:
+        """Ask a host anew."""
+        self._feeds.drop(host)
+        self._decoded.pop(host, None)
+
+    def decode(self, host: str, reading: Reading, decode: Callable[[Reading], Value]) -> Value:
+        """The value of a reading, decoded once.
+
+        Raises:
+            HostError: it is no reply to a probe.
+        """
+        known = self._decoded.get(host)
+        if known is None or known[0] is not reading.document:
+            known = self._decoded[host] = reading.document, decode(reading)
+        return known[1]

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Readings that come by themselves: what is sent of a probe, and a real agent that sends them."""
+
+import json
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from edgectl.agent.link import frames, protocol
+from edgectl.agent.measure.readings import build_update
+from edgectl.transport.agent_client import split_frame
+from tests.agent.conftest import AgentHost, eventually, is_running
+from tests.agent.test_converse import DEADLINE_S, MARKER, StayingAgent, open_agent
+
+BEFORE: dict[str, Any] = {
+    "wall": 1000.0,
+    "window_s": 0.5,
+    "cpu": {"cores": 4.0, "used_cores": 1.0},
+    "links": {"robot1": {"rx_bytes_per_s": 1e6, "rtt_ms": 2.0, "interface": "wlan0", "reachable": True}},
+    "other_tasks": [{"task": "nav", "age_s": 5.0}],
+    "tasks": {
+        "age_s": {
+            "state": "ready", "pid": 7, "age_s": 60.0, "used_bytes": 100 << 20, "restarts": 0,
+            "links": {"robot1": 5e5}, "metrics": {"rtt_ms": 5.0}, "exit_code": None,
+        }
+    },
+}  # fmt: skip
+
+
+def change(path: str, value: object) -> dict[str, Any]:
+    """Return the probe one second later, with one other value."""
+    later: dict[str, Any] = json.loads(json.dumps(BEFORE))
+    later["wall"], later["other_tasks"][0]["age_s"], later["tasks"]["age_s"]["age_s"] = 1001.0, 6.0, 61.0
+    *keys, last = path.split(".")
+    inner: Any = later
+    for key in keys:
+        inner = inner[int(key) if isinstance(inner, list) else key]
+    inner[last] = value
+    return later
+
+
+@pytest.mark.parametrize(
+    ("path", "same", "other"),
+    [
+        ("cpu.used_cores", 1.04, 1.06),
+        ("links.robot1.rx_bytes_per_s", 1.04e6, 0.94e6),
+        ("links.robot1.rtt_ms", 2.4, 2.6),
+        ("links.robot1.reachable", True, False),
+        ("links.robot1.interface", "wlan0", "wlan1"),
+        ("other_tasks.0.age_s", 6.3, 0.0),
+        ("other_tasks.0.task", "nav", "slam"),
+        ("tasks.age_s.used_bytes", (100 << 20) + 4096, 102 << 20),
+        ("tasks.age_s.links.robot1", 5.2e5, 5.3e5),
+        ("tasks.age_s.age_s", 61.2, 0.5),
+        ("tasks.age_s.state", "ready", "failed"),
+        ("tasks.age_s.pid", 7, 8),
+        ("tasks.age_s.restarts", 0, 1),
+        ("tasks.age_s.exit_code", None, 0),
+        ("tasks.age_s.metrics", {"rtt_ms": 5.0}, {"rtt_ms": 5.01}),
+        ("wall", 1001.2, 1060.0),
+        ("window_s", 0.6, None),
+        ("grants", None, {}),
+    ],
+)
+def test_what_is_within_the_noise_is_not_sent(path: str, same: object, other: object) -> None:
+    before = BEFORE if path != "grants" else {**BEFORE, "grants": None}
+    assert build_update(before, change(path, same), 1.0) == {}
+    if path != "window_s":
+        update = build_update(before, change(path, other), 1.0)
+        assert update["changed"][path.partition(".")[0]] == change(path, other)[path.partition(".")[0]]
+        assert {**before, **update["changed"]} == change(path, other)
+
+
+def test_entries_and_keys_that_come_and_go_are_sent() -> None:
+    gone = change("tasks", {})
+    assert build_update(BEFORE, gone, 1.0)["changed"]["tasks"] == {}
+    resident = change("resident", True)
+    assert build_update(BEFORE, resident, 1.0)["changed"]["resident"] is True
+    assert build_update(resident, change("wall", 1001.0), 0.0)["gone"] == ["resident"]
+
+
+def read_replies(staying: StayingAgent, number: int) -> list[dict[str, Any]]:
+    """Return the replies to one request so far."""
+    found, rest = [], staying.said.get(number, b"")
+    while (frame := split_frame(rest, MARKER)) is not None:
+        found.append(json.loads(frame[0]))
+        rest = frame[1]
+    return found
+
+
+def wait_for_replies(staying: StayingAgent, number: int, count: int) -> list[dict[str, Any]]:
+    """Return the replies to one request once there are so many."""
+    while len(found := read_replies(staying, number)) < count:
+        assert number not in staying.ended, staying.ended
+        staying.take(staying.read())
+    return found
+
+
+@pytest.fixture
+def staying(host: AgentHost) -> Iterator[StayingAgent]:
+    """An agent that stays, on a host that keeps the code for readings."""
+    assert host.ask("readings", window_s=0.0, every_s=0.1, rounds=50)["op"] == "probe"
+    host.ask("status", task=None)
+    with open_agent(host) as found:
+        yield found
+
+
+def test_a_call_has_one_reply_like_that_to_a_probe(host: AgentHost) -> None:
+    found = host.ask("readings", window_s=0.0, every_s=0.1, rounds=50)
+    assert found.keys() == host.ask("probe", window_s=0.0).keys()
+
+
+def test_what_changes_comes_by_itself_and_an_end_is_an_end(staying: StayingAgent) -> None:
+    staying.ask(1, "readings", window_s=0.0, every_s=0.1, rounds=10000)
+    assert wait_for_replies(staying, 1, 1)[0]["tasks"] == {}
+    staying.host.start("slam", "exec sleep 600")
+    document: dict[str, Any] = {}
+    while "slam" not in document.get("tasks", {}):
+        replies = wait_for_replies(staying, 1, len(read_replies(staying, 1)) + 1)
+        document = replies[0]
+        for update in replies[1:]:
+            document = {**document, **update.get("changed", {})}
+    assert document["tasks"]["slam"]["pid"] > 0
+    (child,) = staying.children()
+    staying.send(frames.build_frame(frames.DROP, 1))
+    assert staying.wait(1) == str(-signal.SIGTERM)
+    eventually(lambda: not is_running(child))
+    staying.ask(2, "status", task=None)
+    assert staying.reply(2)["tasks"].keys() == {"slam"}
+
+
+def test_it_ends_after_its_rounds(staying: StayingAgent) -> None:
+    staying.ask(1, "readings", window_s=0.0, every_s=0.05, rounds=3)
+    assert staying.wait(1) == "0"
+    assert read_replies(staying, 1)[0]["op"] == "probe"
+
+
+def test_a_host_on_which_nothing_changes_says_so_now_and_then(staying: StayingAgent) -> None:
+    """Of a busy machine some value may always change; an age never lasts longer than that."""
+    staying.ask(1, "readings", window_s=0.0, every_s=0.1, rounds=10000)
+    began = time.monotonic()
+    wait_for_replies(staying, 1, 1)
+    while time.monotonic() - began < 2 * protocol.READING_SAID_S:
+        before = time.monotonic()
+        wait_for_replies(staying, 1, len(read_replies(staying, 1)) + 1)
+        assert time.monotonic() - before < DEADLINE_S
+
+
+def test_it_outlives_neither_its_deadline_nor_its_agent(staying: StayingAgent) -> None:
+    staying.ask(1, "readings", timeout=DEADLINE_S, window_s=0.0, every_s=0.1, rounds=10000)
+    wait_for_replies(staying, 1, 1)
+    (child,) = staying.children()
+    os.kill(staying.process.pid, signal.SIGKILL)
+    staying.process.wait()
+    eventually(lambda: not is_running(child))
+
+
+def test_the_one_that_measures_again_and_again_is_small(staying: StayingAgent) -> None:
+    staying.ask(1, "readings", window_s=0.0, every_s=0.01, rounds=100)
+    wait_for_replies(staying, 1, 1)
+    (child,) = staying.children()
+    sizes = []
+    while 1 not in staying.ended:
+        try:
+            status = Path(f"/proc/{child}/status").read_text()
+            files = len(list(Path(f"/proc/{child}/fd").iterdir()))
+        except OSError:
+            break
+        sizes += [int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")]
+        assert files <= 12
+        staying.take(staying.read())
+    assert sizes
+    assert max(sizes) <= 15 * 1024

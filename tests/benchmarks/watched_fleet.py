@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CPU of a watch over N hosts: ``python -m tests.benchmarks.watched_fleet [N] [SECONDS] [profilers]``.
+
+Real SSH servers on loopback, a fifth of them robots, and one task for every fourth host. ``edgectl watch --every 1s``
+runs as a process of its own; its CPU is that of all its threads, and a host's that of its server, the login shells
+and the agents. With ``profilers`` a profiler runs on each host; it counts as well. The hosts share the table of processes
+of this machine, which each of them searches.
+"""
+
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+from tests.sshd import Lab, running_lab
+
+WARM_UP_S = 15.0
+# Shares of a core: of the manager, and of a host.
+MOST_MANAGER, MOST_HOST = 0.03, 0.005
+_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+
+
+def write_files(folder: Path, names: Sequence[str]) -> None:
+    """Write the inventory and the tasks of the fleet."""
+    edges = "".join(
+        f"  {name}: {{host: {name}, capacity: {{cpu: 2, memory: 4Gi}}}}\n"
+        for name in names
+        if name.startswith("edge")
+    )
+    robots = "".join(
+        f"  {name}: {{host: {name}, capacity: {{cpu: 2, memory: 4Gi}}}}\n"
+        for name in names
+        if name.startswith("robot")
+    )
+    (folder / "inventories").mkdir()
+    (folder / "inventories" / "lab.yaml").write_text(
+        f"version: 1\nfleet: watched\nprobe_links: false\nedges:\n{edges}robots:\n{robots}"
+    )
+    tasks = "".join(
+        f"  task{number}: {{command: sleep 600, robot: {name}, demand: {{cpu: 0.01, memory: 10Mi, throughput: 1kB/s}}}}\n"
+        for number, name in enumerate(name for name in names if name.startswith("robot"))
+    )
+    (folder / "tasks").mkdir()
+    (folder / "tasks" / "lab.yaml").write_text(f"version: 1\ntasks:\n{tasks}")
+
+
+def read_tree_cpu_s(roots: Sequence[int]) -> dict[int, float]:
+    """CPU s by root of all that descends from it, with what has ended there."""
+    parents, spent = {}, {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text(errors="replace").rpartition(")")[2].split()
+        except OSError:
+            continue
+        pid = int(stat.parent.name)
+        parents[pid], spent[pid] = int(fields[1]), sum(int(field) for field in fields[11:15]) / _TICKS_PER_S
+    found = dict.fromkeys(roots, 0.0)
+    for pid in spent:
+        above: int | None = pid
+        while above is not None and above not in found:
+            above = parents.get(above)
+        if above is not None:
+            found[above] += spent[pid]
+    return found
+
+
+@contextmanager
+def watching(folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a watch; it is ended by the signal that an operator would send."""
+    with (folder / "output").open("wb") as output:
+        command = [sys.executable, "-m", "edgectl", "watch", "--every", "1s"]
+        process = subprocess.Popen(command, cwd=folder, stdout=output, stderr=output)
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.wait(30)
+
+
+def count_cycles(folder: Path) -> int:
+    """Return the number of cycles, each of which is in the history: a busy machine skips some."""
+    (path,) = (folder / "state").rglob("history.db")
+    with closing(sqlite3.connect(path)) as connection:
+        return int(connection.execute("SELECT count(DISTINCT at) FROM host_samples").fetchone()[0])
+
+
+def measure(lab: Lab, folder: Path, seconds: float) -> tuple[float, list[float], float]:
+    """Return shares of a core: of the manager, and of each host; and cycles per second."""
+    servers = [server.process.pid for server in lab.servers.values() if server.process is not None]
+    with watching(folder) as process:
+        time.sleep(WARM_UP_S)
+        cycles = count_cycles(folder)
+        before, began = read_tree_cpu_s([process.pid, *servers]), time.monotonic()
+        time.sleep(seconds)
+        after, took = read_tree_cpu_s([process.pid, *servers]), time.monotonic() - began
+        rate = (count_cycles(folder) - cycles) / took
+        assert process.poll() is None, (folder / "output").read_text()
+    shares = {pid: (after[pid] - before[pid]) / took for pid in after}
+    return shares.pop(process.pid), list(shares.values()), rate
+
+
+def main(words: Sequence[str]) -> int:
+    """Print the shares; return 1 if a goal is missed."""
+    numbers = [float(word) for word in words if word != "profilers"]
+    count, seconds = int(numbers[0]) if numbers else 64, numbers[1] if len(numbers) > 1 else 30.0
+    names = [f"robot{n}" if n % 5 == 0 else f"edge{n}" for n in range(count, 0, -1)]
+    with tempfile.TemporaryDirectory(prefix="edgectl-") as directory:
+        folder = Path(directory)
+        write_files(folder, names)
+        with running_lab(folder / "lab", names) as lab:
+            os.environ.update(lab.environment | {"EDGECTL_STATE_DIR": str(folder / "state")})
+            if "profilers" in words:
+                ask = [sys.executable, "-m", "edgectl", "profilers", "start", "--every", "1s"]
+                subprocess.run(ask, cwd=folder, check=True, capture_output=True)
+            manager, hosts, rate = measure(lab, folder, seconds)
+    mean = sum(hosts) / len(hosts)
+    print(
+        f"{count} hosts, {seconds:.0f} s, {rate:.2f} cycles/s: {manager:.2%} of a core here, {1000 * manager / rate:.1f} ms"
+        f" a cycle; {mean:.2%} on a host (most {max(hosts):.2%})"
+    )
+    return int(manager > MOST_MANAGER or mean > MOST_HOST)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
