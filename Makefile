@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: docs versions image model browser engines sensitivity latency handoffs ros ros-whole throughput quality demo experiment evaluation test test-fast check style setup audit bench faults managers fuzz slow-links soak clean containers
+.PHONY: docs versions lowest image model browser engines sensitivity latency handoffs ros ros-whole throughput quality demo experiment evaluation test test-fast check style setup audit bench faults managers fuzz slow-links soak clean containers
 PY := .venv/bin/python
 export PYTHON
 
@@ -33,7 +33,7 @@ test: style
 	@.ci/need-docker
 	@.ci/need-shells
 	@.ci/need-tlc
-	@PATH="$$PATH:/usr/sbin:/sbin" .ci/with-types $(PY) -m tests.suite tests --ignore=tests/benchmarks --ignore=tests/ros --ignore=tests/engines --ignore=tests/browser --ignore=tests/containers/test_lifecycle.py --ignore=tests/containers/test_losses.py --ignore=tests/containers/test_apply.py --ignore=tests/containers/test_swarm.py --ignore=tests/containers/test_swarm_moves.py --ignore=tests/containers/test_image.py -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+	@PATH="$$PATH:/usr/sbin:/sbin" .ci/beside $(PY) -m tests.suite tests --ignore=tests/benchmarks --ignore=tests/ros --ignore=tests/engines --ignore=tests/browser --ignore=tests/containers/test_lifecycle.py --ignore=tests/containers/test_losses.py --ignore=tests/containers/test_apply.py --ignore=tests/containers/test_swarm.py --ignore=tests/containers/test_swarm_moves.py --ignore=tests/containers/test_image.py -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 # Tests without real hosts: rules, files, documents, views, and simulated fleets.
 PURE := config doctor experiments executor export formats fuzz gateway importers model rules scheduler simulation state tui usecases views web test_rooms.py
@@ -49,6 +49,11 @@ versions: setup
 	@.ci/need-promtool
 	@.ci/need-etcd
 	@.ci/pythons $(PURE:%=tests/%) -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
+	@$(MAKE) --no-print-directory lowest
+
+lowest: setup
+	@.ci/need-promtool
+	@.ci/need-etcd
 	@.ci/lowest $(PURE:%=tests/%) -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
 
 # On a real ROS 1, out of Debian's packages, and rclpy of ROS 2, which are installed where they are missing; without them this fails.

@@ -26,7 +26,7 @@ def print_view(view: "View", form: "OutputFormat", *, fleet: str = "") -> None:
 
     look = detect_render_options(sys.stdout)
     text = render_view(view, form, look)
-    print_text((render_fleet_line(fleet, look) if fleet and text and form in HUMAN_FORMATS else "") + text)
+    print_text((render_fleet_line(fleet, look) if text and form in HUMAN_FORMATS else "") + text)
     _print_notes(view, form)
 
 
@@ -54,7 +54,7 @@ def print_view_series(views: "Iterable[View]", form: "OutputFormat", *, fleet: s
     from edgectl.views.text import detect_render_options, render_fleet_line
 
     shown = OutputFormat.JSONL if form is OutputFormat.JSON else form
-    if fleet and form in HUMAN_FORMATS:
+    if form in HUMAN_FORMATS:
         print_text(render_fleet_line(fleet, detect_render_options(sys.stdout)))
     for view in views:
         if not print_part(render_view(view, shown, detect_render_options(sys.stdout))):

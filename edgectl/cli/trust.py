@@ -89,6 +89,7 @@ def _report_key(shown: "ShownKey") -> HostKeyReport:
 
 def _ask_to_trust(unknown: "Sequence[ShownKey]", fleet: str) -> None:
     from edgectl.transport.trust import get_public_key_path
+    from edgectl.views.text import wrap_text
 
     names = [each.host.name for each in unknown]
     where = f"on {names[0]} itself" if len(names) == 1 else f"on each of {', '.join(names)}"
@@ -97,7 +98,8 @@ def _ask_to_trust(unknown: "Sequence[ShownKey]", fleet: str) -> None:
     first = f"compare each fingerprint with the output of this command {where}: {compare}"
     apply_session.check_can_confirm(asked=True, first=first)
     many = names[0] if len(names) == 1 else f"these {len(names)} hosts"
-    question = f'{first[0].upper()}{first[1:]}\nTrust {many} of fleet {fleet}? Only "yes" is accepted: '
+    told = wrap_text(f"{first[0].upper()}{first[1:]}", console.get_stderr_render_options())
+    question = f'{told}Trust {many} of fleet {fleet}? Only "yes" is accepted: '
     if not apply_session.ask_confirmation(question):
         raise Exit(ExitCode.FAILED)
 

@@ -42,6 +42,7 @@ from edgectl.views.text import (
     Row,
     escape_unprintable,
     render_columns,
+    render_fleet_line,
     render_header,
     style_text,
     wrap_text,
@@ -87,7 +88,7 @@ class PlanView(View):
         for step in steps:
             rows += [_render_step_row(step), *render_standby_rows(step, format_utility)]
         return _join_parts(
-            self._render_header(look) if self._plan.expected else "",
+            self._render_header(look) if self._plan.expected else render_fleet_line(self._plan.fleet, look),
             (render_columns(rows, look, right={4, 5}, wrap={1, 2, 3}) if steps else "")
             + (render_folded_steps(self._plan.steps, look) if self._plan.changes or steps else ""),
             render_expected_load(self._plan, look) if steps else "",

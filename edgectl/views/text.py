@@ -76,8 +76,10 @@ def is_ci() -> bool:
 
 
 def render_fleet_line(fleet: str, look: RenderOptions) -> str:
-    """The name of the fleet above a table on a terminal; elsewhere nothing."""
-    return "" if look.width is None else style_text(f"Fleet {escape_unprintable(fleet)}", "bold", look) + "\n"
+    """The name of the fleet, where it is known, above a table on a terminal; elsewhere nothing."""
+    if look.width is None or not fleet:
+        return ""
+    return style_text(f"Fleet {escape_unprintable(fleet)}", "bold", look) + "\n"
 
 
 def _can_show_unicode(stream: TextIO) -> bool:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from edgectl.cli.completion import complete_revisions
 from tests.cli.conftest import Run
 from tests.cli.terminal import Terminal
 from tests.executor.fake_fleet import FakeFleet
@@ -71,6 +72,19 @@ def test_what_acts_on_tasks_takes_labels(hosts: FakeFleet, run: Run) -> None:
     assert (started.code, started.out, set(hosts.placed)) == (0, "task/zeta\n", {"yak", "zeta"})
     for words in ("stop", "stop --all -l task=zeta", "start", "restart", "wait"):
         assert run(*words.split()).code == 64, words
+
+
+def test_tab_offers_the_revisions_of_this_fleet(
+    hosts: FakeFleet, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for verb in ("stop", "start"):
+        assert run(verb, "yak", "--yes").code == 0
+    names = run("history", "-o", "name").out.split()
+    assert names == ["revision/1", "revision/2", "revision/3"]
+    for line in ("edgectl rollback ", "edgectl show "):
+        monkeypatch.setenv("COMP_WORDS", line)
+        assert complete_revisions("") == ["3", "2", "1"], "newest first"
+        assert complete_revisions("2") == ["2"]
 
 
 def test_top_is_sorted_and_cut_as_get_is(hosts: FakeFleet, run: Run) -> None:

@@ -2,12 +2,15 @@
 """The files for other people's CI: their commands run on a scaffold, and the image is built where a builder is."""
 
 import json
+import re
 import subprocess
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
+from jsonschema import Draft7Validator
 
 from edgectl.scaffold.write import write_scaffold
 from tests.docs.blocks import environment
@@ -127,3 +130,61 @@ def test_the_image_is_described_as_a_builder_reads_it() -> None:
         ["make", "-n", "image", "BUILDER=echo"], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout
     assert "echo build --file .ci/Containerfile --tag edgectl" in said
+
+
+def read_yaml(text: str) -> Any:
+    """YAML as forges read it: ``on`` is no truth value."""
+    found = yaml.safe_load(text)
+    return {"on" if key is True else key: value for key, value in found.items()}
+
+
+def list_forge_files() -> list[tuple[str, str, str]]:
+    """Name, text and schema of each file for a forge, also of those that docs/ci.md shows."""
+    files = {
+        ".github/workflows/tests.yml": "github-workflows",
+        ".ci/action.yml": "github-actions",
+        ".ci/gitlab.yml": "gitlab-ci",
+        ".ci/tests.gitlab.yml": "gitlab-ci",
+    }
+    found = [(name, (ROOT / name).read_text(), schema) for name, schema in files.items()]
+    page = (ROOT / "docs" / "ci.md").read_text()
+    for text in re.findall(r"^```yaml\n(.*?)^```$", page, re.MULTILINE | re.DOTALL):
+        if first := re.match(r"# \.(github/workflows|gitlab-ci)", text):
+            schema = "gitlab-ci" if first[1] == "gitlab-ci" else "github-workflows"
+            found.append((f"docs/ci.md: {schema}", text, schema))
+    return found
+
+
+FORGE_FILES = list_forge_files()
+
+
+@pytest.mark.parametrize(("name", "text", "schema"), FORGE_FILES, ids=[name for name, _, _ in FORGE_FILES])
+def test_a_forge_takes_the_file(name: str, text: str, schema: str) -> None:
+    """By the schemas that editors know for these files; they are taken out of the package check-jsonschema."""
+    rules = json.loads((ROOT / ".venv" / "share" / "schemas" / "forges" / f"{schema}.json").read_text())
+    validator = Draft7Validator(rules)
+    value = read_yaml(text)
+    assert [error.message for error in validator.iter_errors(value)] == []
+    broken = {
+        "github-workflows": {"jobs": {"x": {"stepz": 1}}},
+        "github-actions": {"runs": {}},
+        "gitlab-ci": {"x": {"script": 1}},
+    }
+    assert not validator.is_valid(value | broken[schema]), "the schema refuses something"
+
+
+def test_forges_run_the_fast_suite_with_each_python_and_build_the_image() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    claimed = [each.rpartition(" ")[2] for each in project["classifiers"] if re.search(r":: 3\.\d", each)]
+    github = read_yaml((ROOT / ".github" / "workflows" / "tests.yml").read_text())["jobs"]
+    gitlab = read_yaml((CI / "tests.gitlab.yml").read_text())
+    assert github["versions"]["strategy"]["matrix"]["python"] == claimed
+    assert gitlab["versions"]["parallel"]["matrix"] == [{"PYTHON_VERSION": claimed}]
+    floor = project["requires-python"].removeprefix(">=")
+    assert gitlab["lowest"]["image"] == f"python:{floor}-bookworm"
+    commands = {name: [step["run"] for step in job["steps"] if "run" in step] for name, job in github.items()}
+    assert commands["versions"] == gitlab["versions"]["script"] == ["make test-fast"]
+    assert commands["lowest"] == gitlab["lowest"]["script"] == ["make lowest"]
+    assert commands["image"][:2] == gitlab["container"]["script"]
+    for line in [line for lines in commands.values() for line in lines if line.startswith("make ")]:
+        subprocess.run([*line.split(), "-n"], cwd=ROOT, capture_output=True, check=True)

@@ -88,6 +88,11 @@ class Cables:
                 _, _, sink, packet = heapq.heappop(due)
                 os.write(sink, packet)
 
+    def close(self) -> None:
+        """Close the ends of all cables."""
+        for way in self.ways:
+            os.close(way.source)
+
 
 def open_tun(name: str) -> int:
     """Make an interface of this thread's network namespace."""
@@ -135,7 +140,7 @@ def run_cables(count: int) -> Iterator[tuple[Path, Path, Cables]]:
         cables = Cables()
         for number in range(count):
             cables.add(manager, hosts, number)
-        stack.callback(lambda: [os.close(way.source) for way in cables.ways])
+        stack.callback(cables.close)
         thread = threading.Thread(target=cables.run, daemon=True)
         thread.start()
         try:

@@ -129,6 +129,13 @@ def test_plan_table() -> None:
     )
 
 
+def test_a_plan_without_expected_load_names_its_fleet_on_a_terminal_too() -> None:
+    """No host answers, or the actions were asked for: weights and age would say nothing."""
+    asked = dataclasses.replace(plan(), expected={})
+    assert PlanView(asked).table(RenderOptions(width=80)).startswith("Fleet demo\n\n ")
+    assert PlanView(asked).table().startswith(" ")
+
+
 def test_wide_shows_four_terms_of_every_host_and_what_losers_lack() -> None:
     text = render_view(PlanView(plan()), OutputFormat.WIDE)
     rows = [line for line in text.splitlines() if re.match(r" {3,}edge\d", line)]
