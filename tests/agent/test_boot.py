@@ -154,7 +154,7 @@ def test_the_agent_travels_packed(host: AgentHost) -> None:
         sent = stdin[:-1] + b"~" if sizes[-1] > 100_000 else stdin
         return run(command, sent, timeout=timeout, limit=limit)
 
-    host.session.run = run_damaged  # type: ignore[method-assign, assignment]
+    host.session.run = run_damaged  # type: ignore[method-assign]
     with pytest.raises(ReplyError, match="arrived damaged"):
         host.ask("status", task=None)
     host.session.run = run  # type: ignore[method-assign]
