@@ -152,8 +152,8 @@ class Conversation:
 
     def give_way(self) -> None:
         """End for good: the host has no room for a conversation beside other calls."""
-        self.end()
         self.is_useless = True
+        self.end()
 
     def end(self) -> None:
         """Carry nothing any more. What is under way gets calls of its own; the agent ends with its input."""
@@ -258,12 +258,13 @@ class Conversation:
             return
         question.refused = word == frames.REFUSED
         self._refused = self._refused + 1 if question.refused else 0
+        if self._refused >= _MAX_REFUSED:
+            # Before its asker goes on, who would begin another one.
+            self.give_way()
         question.end(whole=word == frames.END and body == b"0")
         if isinstance(question, ReadingFeed):
             with self._lock:
                 self._questions.pop(number, None)
-        if self._refused >= _MAX_REFUSED:
-            self.give_way()
 
     def _say(self, exchange: OpenExchange, frame: bytes, timeout: float) -> None:
         """Send one whole frame; a part of one ends the conversation.
