@@ -26,9 +26,11 @@ class CronSite:
     def __init__(self, state: Path, deviation: float, lasts: float, seed: int = 1) -> None:
         state.mkdir(exist_ok=True)
         self.state, self.deviation, self.lasts = state, deviation, lasts
-        self.dice, self.now, self.extra = Random(seed), NOW, 0.0
+        self.now, self.extra = NOW, 0.0
         self.hosts = FakeFleet.of(["zeta", "beta", "alpha", "robot1"])
         self.errors = dict.fromkeys(("zeta", "beta", "alpha"), 0.0)
+        # Each its own: hosts are probed at once, in any order.
+        self.dice = {name: Random(f"{seed} {name}") for name in self.errors}
         self.base = {"zeta": CORES * 0.995 - DEMAND, "beta": CORES * 0.995 - DEMAND, "alpha": CORES * 0.9}
         self.seen = dict.fromkeys(self.base, NOW)
         for name in self.base:
@@ -40,7 +42,7 @@ class CronSite:
         for _ in range(halves):
             kept = math.exp(-(self.now - self.seen[name] + 0.5) / self.lasts) if self.lasts else 0.0
             self.seen[name] = self.now
-            step = self.dice.gauss(0.0, self.deviation * math.sqrt(1.0 - kept * kept))
+            step = self.dice[name].gauss(0.0, self.deviation * math.sqrt(1.0 - kept * kept))
             self.errors[name] = kept * self.errors[name] + step
             total += self.errors[name]
         there = "slam" in host.tasks
