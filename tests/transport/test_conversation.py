@@ -395,12 +395,16 @@ class ScriptedExchange:
     def close(self) -> None: ...
 
 
+# (word, number, body) of a frame that came -> what the agent says to it
+Answer = Callable[[str, int, bytes], bytes | None]
+
+
 class ScriptedSession:
     """A host whose calls say ``by a call``, and whose agent is scripted."""
 
     python = "python3"
 
-    def __init__(self, answer: Callable[[str, int, bytes], bytes | None]) -> None:
+    def __init__(self, answer: Answer) -> None:
         self.answer, self.begun = answer, 0
 
     def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
@@ -443,7 +447,7 @@ def until_shared(session: ConversingSession) -> None:
     until(lambda: run_scripted(session) == b"shared")
 
 
-HOSTILE: dict[str, Callable[[str, int, bytes], bytes | None]] = {
+HOSTILE: dict[str, Answer] = {
     "no frame": lambda *_: b"HTTP/1.1 400 Bad Request\n",
     "a frame without end": lambda *_: b"x" * 100,
     "a word of the manager": lambda _, number, __: frames.build_frame(frames.ASK, number, b"x"),
@@ -462,9 +466,8 @@ HOSTILE: dict[str, Callable[[str, int, bytes], bytes | None]] = {
 }
 
 
-@pytest.mark.parametrize("attack", HOSTILE)
-def test_what_a_host_says_wrongly_costs_a_call_and_changes_nothing(attack: str) -> None:
-    hostile = threading.Event()
+def answer_until(hostile: threading.Event, attack: str) -> Answer:
+    """Answers that are right until ``hostile`` is set; then requests are answered by the attack."""
 
     def answer(word: str, number: int, body: bytes) -> bytes | None:
         if not hostile.is_set() or word != frames.ASK:
@@ -472,7 +475,13 @@ def test_what_a_host_says_wrongly_costs_a_call_and_changes_nothing(attack: str) 
         said = HOSTILE[attack](word, number, body)
         return said + b"no frame\n" if said is not None and attack == "a part and its end" else said
 
-    with ConversingSession(ScriptedSession(answer)) as session:
+    return answer
+
+
+@pytest.mark.parametrize("attack", HOSTILE)
+def test_what_a_host_says_wrongly_costs_a_call_and_changes_nothing(attack: str) -> None:
+    hostile = threading.Event()
+    with ConversingSession(ScriptedSession(answer_until(hostile, attack))) as session:
         until_shared(session)
         hostile.set()
         assert run_scripted(session) == b"by a call"
@@ -547,14 +556,7 @@ def test_what_changes_something_has_a_call_where_it_is_not_expected() -> None:
 def test_a_change_is_never_begun_twice_unseen(attack: str) -> None:
     """Where nobody knows whether it was carried out, its asker hears so, and asks over a new connection."""
     hostile = threading.Event()
-
-    def answer(word: str, number: int, body: bytes) -> bytes | None:
-        if not hostile.is_set() or word != frames.ASK:
-            return answer_well(word, number, body)
-        said = HOSTILE[attack](word, number, body)
-        return said + b"no frame\n" if said is not None and attack == "a part and its end" else said
-
-    with ConversingSession(ScriptedSession(answer)) as session:
+    with ConversingSession(ScriptedSession(answer_until(hostile, attack))) as session:
         until_shared(session)
         session.expect_requests(EXPECTED)
         hostile.set()

@@ -5,7 +5,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Generator, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -208,15 +208,24 @@ def test_a_host_that_is_gone_is_noticed_and_costs_the_others_nothing(
 
 
 @pytest.mark.parametrize("hosts", [Connection.SSH], indirect=True)
+@pytest.mark.parametrize("fault", [signal.SIGKILL, signal.SIGSTOP])
 def test_an_agent_that_is_killed_or_frozen_costs_a_request(
-    hosts: list[Host], lab: Lab, tmp_path: Path
+    fault: signal.Signals, hosts: list[Host], lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    name = hosts[0].name
-    with watching(tmp_path, *hosts) as watch:
+    monkeypatch.setattr(readings, "SILENT_S", 3.0)
+    name, frozen = hosts[0].name, list[int]()
+    # What a frozen agent costs once: its host is asked over it until the time is over.
+    with watching(tmp_path, *hosts, timeout=8.0) as watch:
         watch.until_quiet()
-        for agent in list_agents(lab[name].directory):
-            os.kill(agent, signal.SIGKILL)
-        watch.until(lambda found: (name, "readings") in watch.asked and found.hosts[name].ok)
+        try:
+            for agent in list_agents(lab[name].directory):
+                os.kill(agent, fault)
+                frozen += [agent] if fault is signal.SIGSTOP else []
+            watch.until(lambda found: (name, "readings") in watch.asked and found.hosts[name].ok)
+        finally:
+            for agent in frozen:
+                with suppress(ProcessLookupError):
+                    os.kill(agent, signal.SIGKILL)
         assert {host for host, _ in watch.asked} <= {host.name for host in hosts}
 
 
