@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a manager's journal leaves to whoever changes the fleet next, on any machine (docs/adr/0176)."""
+"""Open work of a manager's journal, for whoever changes the fleet next, on any machine (ADR 176)."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import field, replace
