@@ -15,6 +15,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 _ROUNDS, _TOLERANCE, _DAMPING = 200, 1e-6, 0.5
+# Times are known to 1e-6 of the time between two items, and to this share of themselves.
+_TIME_TOLERANCE = 1e-3
 # Moments of a period, as a share of it, at which an item may come.
 _PHASES = tuple((number + 0.5) / 16 for number in range(16))
 # No host and no link is ever so slow that its queue is endless.
@@ -89,7 +91,8 @@ def _improve(estimate: _Estimate, stations: Sequence[Station], customers: Sequen
             stay = compute_stay_s(stations[at], work, others, share, min(1.0, used[at]))
             change = estimate.crowds[at] * stay - times[place]
             times[place] += _DAMPING * change
-            largest = max(largest, abs(change) * customer.rate)
+            scale = max(customer.rate, _TOLERANCE / _TIME_TOLERANCE / times[place] if times[place] else 0.0)
+            largest = max(largest, abs(change) * scale)
         change = min(customer.rate, 1.0 / max(1e-9, sum(times))) - rate
         estimate.rates[number] += _DAMPING * change
         largest = max(largest, abs(change) / customer.rate)

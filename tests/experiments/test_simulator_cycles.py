@@ -2,7 +2,7 @@
 """Flows of items on shared hosts and links: closed forms, conservation, and a simulation of every item."""
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from edgectl.experiments.simulator_cycles import Customer, Station, compute_flows
@@ -91,6 +91,7 @@ def test_rates_are_those_of_a_simulation_of_every_item(name: str) -> None:
     st.sampled_from([0.0, 0.1]),
     st.integers(0, 2),
 )
+@example([(0.25, 0.0001, 0)], 1.0, 0.0, 0)
 def test_no_station_gives_more_than_it_has(
     tasks: list[tuple[float, float, int]], cores: float, period: float, rivals: int
 ) -> None:
