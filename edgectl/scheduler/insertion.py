@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Room for one more item among items that may make room (ADR 64). Pure and deterministic."""
 
-from dataclasses import replace
-
 from edgectl.scheduler.chain_search import shift_chain
 from edgectl.scheduler.ejection_pool import empty_pool, list_ejections
 from edgectl.scheduler.packing import Item, Packing, has_budget, insert_item, may_leave
@@ -86,7 +84,7 @@ def extend_item(packing: Packing, item: Item) -> bool:
     old, place = packing.items[item.name], packing.at[item.name]
     may_go = may_leave(packing, old)
     packing.take(old)
-    stays = place in item.places and place_item(packing, replace(item, places=(place,)))
+    stays = place in item.places and place_item(packing, item._replace(places=(place,)))
     if stays or (may_go and place_item(packing, item)):
         packing.items[item.name] = item
         return True

@@ -7,8 +7,9 @@ demand of 0: nothing is added to a host that is overcommitted already.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import field
 from math import inf
+from typing import NamedTuple
 
 from edgectl.dataclass import dataclass
 from edgectl.scheduler.placement_rules import OccupancyLimit
@@ -50,8 +51,7 @@ class ShareTable(dict[int, Shares]):
         return self._columns
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Item:
+class Item(NamedTuple):
     """One task of the search, or several that share a place (``tasks``).
 
     ``places``: those that may take it, in order; ``shares`` at each of them, and at the one where it is.
@@ -73,7 +73,7 @@ class Item:
 def combine_items(name: str, items: Sequence[Item]) -> Item:
     """One item of tasks that share a place."""
     if len(items) == 1:
-        return items[0] if items[0].name == name else replace(items[0], name=name)
+        return items[0] if items[0].name == name else items[0]._replace(name=name)
     first, *rest = items
     return Item(
         name=name,

@@ -45,7 +45,7 @@ def rebalance_plan(plan: DecidedPlan, *, started_only: bool = False) -> dict[str
     packing = build_packing(frame)
     if started_only:
         for name in packing.items.keys() & plan.initial.running.keys():
-            packing.items[name] = replace(packing.items[name], movable=False)
+            packing.items[name] = packing.items[name]._replace(movable=False)
     rebalance_packing(packing, _build_objective(frame), plan.context.policy.move_margin)
     return {
         name: replace(choice, reason=Reason.REBALANCED, subject=None)

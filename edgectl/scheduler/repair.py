@@ -123,7 +123,8 @@ def _has_room_in_sum(plan: DecidedPlan, packing: Packing, task: Task) -> bool:
     for column, (name, amount) in enumerate(demand.items()):
         if amount:
             usable = fleet.usable[name]
-            free = sum([max(0.0, row[column]) * usable[place] for place, row in enumerate(packing.free)])
+            pairs = zip(packing.free, usable, strict=True)
+            free = sum([row[column] * capacity for row, capacity in pairs if row[column] > 0.0])
             if amount > free * (1 + EPSILON):
                 return False
     return True

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A decided plan as a packing: shares by column are those by place, and a search finds the same with both."""
 
-from dataclasses import replace
 from math import inf
 from random import Random
 
@@ -73,7 +72,7 @@ def test_a_search_finds_the_same_by_column_and_by_place(placed: bool) -> None:
     places = set()
     for seed in range(60):
         packing, item = build_view(seed, placed=placed)
-        plain = replace(item, shares=ShareTable(item.shares.__getitem__))
+        plain = item._replace(shares=ShareTable(item.shares.__getitem__))
         assert find_place(packing, item) == find_place(packing, plain)
         assert find_place(packing, item, item.places[:2]) == find_place(packing, plain, item.places[:2])
         places.add(find_place(packing, item))
