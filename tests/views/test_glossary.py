@@ -23,6 +23,7 @@ from edgectl.model.resource import RESOURCES
 from edgectl.rules.awaited_state import AwaitedState, TaskProgress
 from edgectl.views.byte_counters import ByteCountersView
 from edgectl.views.config import ContextRow, ContextsView, Setting, SettingsView
+from edgectl.views.describe import DetailsView
 from edgectl.views.diagnosis import DiagnosisView
 from edgectl.views.diff import DiffView
 from edgectl.views.dry_run import RequestsView
@@ -77,6 +78,7 @@ def list_views() -> Iterator[View]:
     )
     yield from map(test_describe.host_view, ("edge1", "edge2", "robot1"))
     yield from (test_describe.task_view(), test_describe.task_view("idle"))
+    yield DetailsView([test_describe.host_view("edge1"), test_describe.task_view()])
     yield from (test_top.hosts_view(), test_top.tasks_view(test_top.saying()))
     listing = test_listing.listed(ListingKind.TASKS)
     yield ListingChangesView(listing, compare_listings(None, listing), None)
