@@ -74,6 +74,41 @@ def test_what_acts_on_tasks_takes_labels(hosts: FakeFleet, run: Run) -> None:
         assert run(*words.split()).code == 64, words
 
 
+def test_a_mark_that_is_set_already_is_said_and_no_error(hosts: FakeFleet, run: Run) -> None:
+    """Each twice, in an order in which the first one changes something."""
+    place = hosts.placed["yak"]
+    other = next(name for name in hosts.hosts if name not in hosts.placed.values())
+    for words, named, act in (
+        ("cordon edge3", "edge/edge3", "cordoned"),
+        ("cordon edge3 --drain", "edge/edge3", "cordoned; its tasks leave at the next apply"),
+        ("uncordon edge3", "edge/edge3", "uncordoned"),
+        (f"move yak {other}", "task/yak", f"pinned to {other}"),
+        ("unpin yak", "task/yak", "unpinned"),
+        ("done yak", "task/yak", "marked as done"),
+        ("reopen yak", "task/yak", "reopened"),
+        (f"move yak {place}", "task/yak", f"pinned to {place}"),
+    ):
+        assert run(*words.split()).out == f"{named} {act}\n", words
+        tried = run(*words.split(), "--dry-run")
+        assert tried.out == f"{named} {'' if 'reopen' in words else 'already '}{act} (dry run)\n", words
+        again = run(*words.split())
+        assert (again.code, again.out) == (0, f"{named} already {act}\n"), words
+    hosts.down.add(other)
+    run("get", "hosts")
+    for words, act in ((f"fence {other}", "fenced"), (f"unfence {other}", "unfenced")):
+        yes = ["--yes"] if act == "fenced" else []
+        assert run(*words.split(), *yes).out == f"edge/{other} {act}\n"
+        again = run(*words.split())
+        assert (again.code, again.out, again.err) == (0, f"edge/{other} already {act}\n", "")
+    timed = run("move", "yak", place, "--for", "1h").out
+    assert timed.startswith(f"task/yak pinned to {place} until ")
+    assert run("move", "yak", place, "--for", "2h").out != timed, "a time is counted from now"
+    mixed = run("cordon", "edge1", "edge2", "edge3").out
+    assert mixed == "edge/edge1 cordoned\nedge/edge2 cordoned\nedge/edge3 cordoned\n"
+    assert run("uncordon", "edge2").code == 0
+    assert run("cordon", "edge3", "edge2").out == "edge/edge3 already cordoned\nedge/edge2 cordoned\n"
+
+
 def test_tab_offers_the_revisions_of_this_fleet(
     hosts: FakeFleet, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
