@@ -12,6 +12,7 @@ from edgectl.cli.completion import complete_revisions
 from tests.cli.conftest import Run
 from tests.cli.terminal import Terminal
 from tests.executor.fake_fleet import FakeFleet
+from tests.views.fixtures import ROOT
 
 DEMAND = "demand: {cpu: 0.1, memory: 1Mi, throughput: 0}"
 FLEET = "version: 1\nfleet: lab\nedges:\n  edge3: {host: edge3.lab}\n  edge2: {host: edge2.lab}\n  edge1: {host: edge1.lab}\n"
@@ -44,6 +45,49 @@ def test_describe_takes_a_kind_in_all_its_forms(hosts: FakeFleet, run: Run) -> N
     named = run("get", "tasks", "-o", "name").out.split()
     assert [run("describe", name).code for name in named] == [0, 0]
     assert run("describe", "edge/edge9").err.startswith("error: unknown edge 'edge9'")
+
+
+def test_get_takes_a_kind_in_all_its_forms(hosts: FakeFleet, run: Run) -> None:
+    edges = "edge/edge1\nedge/edge2\nedge/edge3\n"
+    found = {"edges": edges, "hosts": edges, "robots": "", "tasks": "task/yak\ntask/zeta\n", "links": ""}
+    for kind, names in found.items():
+        for word in (kind, kind.removesuffix("s"), kind[0]):
+            assert run("get", word, "-o", "name").out == names, word
+
+
+def test_the_variables_of_the_environment_stand_in_the_help(run: Run) -> None:
+    """Those that this side reads; a task is given its own."""
+    read = {
+        name
+        for part in ("cli", "state", "transport", "config")
+        for path in (ROOT / "edgectl" / part).rglob("*.py")
+        for name in re.findall(r"\"(EDGECTL_[A-Z_]+)\"", path.read_text())
+    }
+    assert "EDGECTL_SSH_CONFIG" in read
+    text = " ".join(run("--help").out.split())
+    read -= {"EDGECTL_TASK_DIR"}
+    assert sorted(name for name in read if not re.search(rf"\b{name}\b", text)) == []
+
+
+def test_state_and_settings_lie_in_the_places_of_xdg(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("EDGECTL_STATE_DIR", raising=False)
+    for kind in ("STATE", "CONFIG"):
+        monkeypatch.setenv(f"XDG_{kind}_HOME", str(tmp_path / kind))
+    (tmp_path / "lab.yaml").write_text(FLEET)
+    (tmp_path / "tasks.yaml").write_text(TASKS)
+    settings = tmp_path / "CONFIG" / "edgectl" / "config.yaml"
+    settings.parent.mkdir(parents=True)
+    settings.write_text(
+        f"version: 1\ncontext: lab\ncontexts:\n  lab: {{inventory: {tmp_path}/lab.yaml, tasks: {tmp_path}/tasks.yaml}}\n"
+    )
+    settings.chmod(0o600)
+    monkeypatch.chdir(tmp_path)
+    rows = json.loads(run("config", "view", "-o", "json").out)["items"]
+    assert [row["values"] for row in rows if row["setting"] == "user"] == [[str(settings)]]
+    assert run("cordon", "edge2").code == 0
+    assert list((tmp_path / "STATE" / "edgectl" / "fleets" / "lab").iterdir())
 
 
 def test_names_are_taken_as_they_are_printed(hosts: FakeFleet, run: Run) -> None:
@@ -133,7 +177,7 @@ def test_top_is_sorted_and_cut_as_get_is(hosts: FakeFleet, run: Run) -> None:
     assert [item["host"] for item in items] == order
     places = hosts.placed
     found = run("top", "tasks", "--sort-by", "host", "--field", "task").out.split()
-    assert found == sorted(places, key=lambda task: places[task])
+    assert found == sorted(sorted(places), key=lambda task: places[task])
     assert run("top", "tasks", "--no-headers").out.split()[0] == "yak"
     unknown = run("top", "hosts", "--field", "cpu.usd_cores")
     assert (unknown.code, unknown.err) == (

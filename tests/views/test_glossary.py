@@ -223,6 +223,13 @@ def test_units_stand_in_the_names_of_numbers() -> None:
     }
 
 
+def test_a_number_without_a_unit_is_none_of_a_quantity() -> None:
+    words = ("second", "millisecond", "byte", "core", "watt", "degree", "volt")
+    bare = [entry for entry in GLOSSARY.values() if entry.type is KeyType.NUMBER and not entry.unit]
+    assert [e.key for e in bare if any(f"in {word}s" in e.meaning for word in words)] == []
+    assert [e.key for e in bare if e.key.rpartition("_")[2] in ("s", "ms", "bytes", "cores", "watts")] == []
+
+
 def test_the_page_lists_the_glossary() -> None:
     page = ROOT / "docs" / "reference" / "outputs.md"
     assert page.read_text() == render_outputs_page(), "python -m tests.views.outputs_page > " + str(page)
