@@ -137,7 +137,9 @@ def confirm_and_execute(
     if not plan.changes:
         manager = forget_lost_nodes(fleet, plan, manager, _NO_RESULTS)
         after = _save_manager_state(fleet, plan, manager, _NO_RESULTS, {})
-        _recover_interrupted_apply(fleet, cut_off, silent, list_open_starts(fleet, plan.snapshot, after, {}))
+        open_starts = list_open_starts(fleet, plan.snapshot, after, {})
+        _share_results(fleet, manager, open_starts)
+        _recover_interrupted_apply(fleet, cut_off, silent, open_starts)
         return ApplyResult(plan=plan)
     if isinstance(fleet.transport, SessionPool):
         fleet.transport.expect_requests(_list_changed_hosts(fleet, plan))
@@ -178,6 +180,7 @@ def confirm_and_execute(
     left = forget_lost_nodes(fleet, plan, manager, results)
     if left != manager:
         _save_manager_state(fleet, plan, left, results, used)
+    _share_results(fleet, left, open_starts)
     _forget_adopted_orphans(fleet, manager, results)
     record_results(fleet, plan, results)
     _recover_interrupted_apply(fleet, cut_off, silent, open_starts)
@@ -350,15 +353,14 @@ def _save_manager_state(
     after = _compute_state_to_save(fleet, plan, manager, results, used)
     if select_saved_fields(after) != load_manager_state(fleet.state):
         save_manager_state(fleet.state, after)
+    return after
+
+
+def _share_results(fleet: Fleet, manager: ManagerState, open_starts: Starts) -> None:
+    """Save in etcd what the files of this machine have now, where there is one."""
     term = _get_term(fleet)
     if term is not None:
-        share_results(
-            fleet,
-            term,
-            list_open_starts(fleet, plan.snapshot, after, used),
-            find_news_of_demands(fleet, manager.measured),
-        )
-    return after
+        share_results(fleet, term, open_starts, find_news_of_demands(fleet, manager.measured))
 
 
 def _compute_state_to_save(
