@@ -4,6 +4,8 @@
 import json
 import os
 import signal
+import socket
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,10 +14,13 @@ from typing import Any
 import pytest
 
 from edgectl.agent.link import frames, protocol
+from edgectl.agent.measure.probe import WindowMeter
 from edgectl.agent.measure.readings import build_update
+from edgectl.agent.supervise import state_dir
 from edgectl.transport.agent_client import split_frame
 from tests.agent.conftest import AgentHost, eventually, is_running
 from tests.agent.test_converse import DEADLINE_S, MARKER, StayingAgent, open_agent
+from tests.agent.test_probe import ROBOT, connected
 
 BEFORE: dict[str, Any] = {
     "wall": 1000.0,
@@ -132,6 +137,41 @@ def test_what_changes_comes_by_itself_and_an_end_is_an_end(staying: StayingAgent
     eventually(lambda: not is_running(child))
     staying.ask(2, "status", task=None)
     assert staying.reply(2)["tasks"].keys() == {"slam"}
+
+
+def test_windows_have_no_gaps_and_a_round_reads_half_of_what_a_probe_reads(host: AgentHost) -> None:
+    """Bytes that were sent between two windows count, and nothing is read once to begin and once to end a window."""
+    links = [{"robot": "robot1", "address": ROBOT}]
+    request = {"host": host.name, "window_s": 0.05, "links": links}
+    host.start("slam", "exec sleep 600")
+    host.until("slam", "running")
+    state_dir.use_fleet([str(host.state)], host.fleet)
+    with connected() as (near, far):
+        meter = WindowMeter(request)
+        first, once = count_reads(meter)
+        near.sendall(b"x" * 100_000)
+        assert len(far.recv(100_000, socket.MSG_WAITALL)) == 100_000
+        time.sleep(0.1)
+        later, again = count_reads(meter)
+        meter.close()
+    assert first["links"]["robot1"]["tx_bytes_per_s"] == 0.0
+    assert later["window_s"] >= 0.15
+    assert later["links"]["robot1"]["tx_bytes_per_s"] * later["window_s"] == pytest.approx(100_000, rel=0.2)
+    assert first["tasks"].keys() == later["tasks"].keys() == {"slam"}
+    assert again <= 0.6 * once
+
+
+def count_reads(meter: WindowMeter) -> tuple[dict[str, Any], int]:
+    """What is measured next, and how many files are opened for it."""
+    opened = []
+    sys.setprofile(
+        lambda _frame, event, what: opened.append(what) if event == "c_call" and what is os.open else None
+    )
+    try:
+        found, _ = meter.measure()
+    finally:
+        sys.setprofile(None)
+    return found, len(opened)
 
 
 def test_it_ends_after_its_rounds(staying: StayingAgent) -> None:
