@@ -5,6 +5,7 @@ import contextlib
 import ipaddress
 import os
 import queue
+import select
 import signal
 import socket
 import subprocess
@@ -242,6 +243,15 @@ def start_proxy_command(command: str) -> ProxySocket:
     finally:
         theirs.close()
     return line
+
+
+def can_write_to(fd: int) -> bool:
+    """Whether a few bytes can be written to a socket without a wait; also where it is closed (-1)."""
+    if fd < 0:
+        return True
+    poll = select.poll()
+    poll.register(fd, select.POLLOUT)
+    return bool(poll.poll(0))
 
 
 def hang_up(line: object) -> None:
