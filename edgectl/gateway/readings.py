@@ -2,7 +2,7 @@
 """Probes from readings that hosts send by themselves: which of them count, and what was decoded of them."""
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Generic, TypeVar
 
 from edgectl.agent.link import protocol
@@ -10,6 +10,7 @@ from edgectl.transport.readings import Reading, ReadingFeeds
 
 Value = TypeVar("Value")
 Request = dict[str, object]
+Known = tuple[Mapping[str, object], Value] | None
 # A host is asked anew after so long, and up to half as much later: not all hosts in one cycle (s). A request
 # is a contact, by which a host knows that its manager is there; what a host sends is none.
 _ASK_EACH_S = 30.0
@@ -68,13 +69,13 @@ class FleetReadings(Generic[Value]):
         self._feeds.drop(host)
         self._decoded.pop(host, None)
 
-    def decode(self, host: str, reading: Reading, decode: Callable[[Reading], Value]) -> Value:
-        """The value of a reading, decoded once.
+    def decode(self, host: str, reading: Reading, decode: Callable[[Reading, Known[Value]], Value]) -> Value:
+        """The value of a reading, decoded once; ``decode`` gets the document and the value before, too.
 
         Raises:
             HostError: it is no reply to a probe.
         """
         known = self._decoded.get(host)
         if known is None or known[0] is not reading.document:
-            known = self._decoded[host] = reading.document, decode(reading)
+            known = self._decoded[host] = reading.document, decode(reading, known)
         return known[1]

@@ -3,6 +3,7 @@
 
 import json
 import os
+import random
 import signal
 import socket
 import sys
@@ -15,7 +16,7 @@ import pytest
 
 from edgectl.agent.link import frames, protocol
 from edgectl.agent.measure.probe import WindowMeter
-from edgectl.agent.measure.readings import build_update
+from edgectl.agent.measure.readings import build_update, merge_update
 from edgectl.agent.supervise import state_dir
 from edgectl.transport.agent_client import split_frame
 from tests.agent.conftest import AgentHost, eventually, is_running
@@ -87,6 +88,39 @@ def test_entries_and_keys_that_come_and_go_are_sent() -> None:
     resident = change("resident", True)
     assert build_update(BEFORE, resident, 1.0)["changed"]["resident"] is True
     assert build_update(resident, change("wall", 1001.0), 0.0)["gone"] == ["resident"]
+
+
+def test_an_update_has_what_changed_and_what_has_an_age_alone() -> None:
+    """Links and loads that stay within their noise are what was said of them before."""
+    later = change("cpu.used_cores", 3.0)
+    later["links"]["robot1"]["rtt_ms"], later["window_s"] = 2.1, 1.0
+    later["tasks"] = {}
+    assert build_update({**BEFORE, "tasks": {}}, later, 1.0)["changed"].keys() == {
+        "cpu",
+        "wall",
+        "other_tasks",
+    }
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_the_manager_knows_is_never_wrong_by_more_than_the_noise(seed: int) -> None:
+    draw = random.Random(seed)
+    known, said_at, sent = BEFORE, 0.0, 0
+    now: dict[str, Any] = json.loads(json.dumps(BEFORE))
+    for second in range(1, 200):
+        now = json.loads(json.dumps(now))
+        now["wall"], now["other_tasks"][0]["age_s"] = 1000.0 + second, 5.0 + second
+        now["tasks"]["age_s"]["age_s"] += 1.0
+        now["cpu"]["used_cores"] = max(0.0, now["cpu"]["used_cores"] + draw.uniform(-0.04, 0.04))
+        now["links"]["robot1"]["rtt_ms"] *= draw.uniform(0.9, 1.1)
+        now["tasks"]["age_s"]["links"]["robot1"] *= draw.uniform(0.98, 1.02)
+        if draw.random() < 0.05:
+            now["tasks"]["age_s"] |= {"age_s": 0.1, "pid": second, "restarts": second}
+        update = build_update(known, now, second - said_at)
+        if update:
+            known, said_at, sent = merge_update(known, update), float(second), sent + 1
+        assert build_update(known, now, second - said_at) == {}
+    assert 10 < sent < 150
 
 
 def read_replies(staying: StayingAgent, number: int) -> list[dict[str, Any]]:
