@@ -138,7 +138,8 @@ def probe_hosts(
     Hosts are in the order of the inventory; robots with ``probe: false`` are neither contacted nor included.
     """
     options = options or ProbeOptions()
-    addresses, edges = resolve_link_addresses(inventory, transport, options.workers)
+    resolve = partial(resolve_link_addresses, inventory, transport, options.workers)
+    addresses, edges = resolve() if options.readings is None else options.readings.keep_addresses(resolve)
     context = _ProbeContext(
         inventory=inventory,
         tasks=tasks,
