@@ -37,11 +37,11 @@ def history_command(
         edgectl history -o json
     """
     from edgectl.cli.connect import build_fleet
-    from edgectl.usecases.history import list_revisions
+    from edgectl.usecases.history import list_shared_revisions
     from edgectl.views.history import HistoryView
 
     fleet = build_fleet(load_inputs(inventory, tasks))
-    console.print_view(HistoryView(list_revisions(fleet)), output, fleet=fleet.inventory.fleet)
+    console.print_view(HistoryView(list_shared_revisions(fleet)), output, fleet=fleet.inventory.fleet)
 
 
 def show_command(
