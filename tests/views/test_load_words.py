@@ -104,6 +104,22 @@ def test_plan() -> None:
     assert found["shortages"] == [{"resource": "cpu", "amount": 7.82}]
 
 
+def test_wide_shows_what_is_used_reserved_and_declared_in_figures_that_agree() -> None:
+    """In use 1.2 of 0.3 declared, so 1.2 are reserved, and the load after the plan is that of now."""
+    lines = show(PlanView(PLAN, TASKS), OutputFormat.WIDE, RenderOptions(width=120)).splitlines()
+    demands, loads, expected = (
+        next(line.split() for line in lines[lines.index(heading) :] if line.startswith(name))
+        for heading, name in (
+            ("Demands:", "slam-robot1"),
+            ("Load now, and what the tasks of this plan reserve and demand:", "zeta"),
+            ("Expected load after this plan:", "zeta"),
+        )
+    )
+    assert demands[:8] == ["slam-robot1", "zeta", "1.20", "in", "use,", "0.30", "declared", "0B"]
+    assert loads[:4] == ["zeta", "11.32", "1.20", "0.30"]
+    assert expected[:3] == ["zeta", "11.32", "(283%)"]
+
+
 def test_status() -> None:
     view = StatusView(SNAPSHOT, INVENTORY, TASKS, SHORTAGES)
     shown = show(view, look=AT_80)
