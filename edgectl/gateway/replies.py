@@ -259,6 +259,15 @@ class MemoryReply:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class MachineReply:
+    """What tells machines apart, as ``model.snapshot.MachineIdentity``."""
+
+    boot_id: Text = ""
+    machine_id: Text = ""
+    pid_namespace: Text = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LogindReply:
     """Settings of systemd-logind, as ``model.diagnosis.Logind``."""
 
@@ -344,6 +353,7 @@ class DoctorReply:
     disk: DiskReply
     python: Text = ""
     psutil: bool = False
+    machine: MachineReply = MachineReply()
     logind: LogindReply = LogindReply()
     surroundings: ShellReply = ShellReply()
     ros: RosReply = RosReply()
