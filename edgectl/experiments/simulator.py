@@ -145,7 +145,7 @@ def _run_job(
         notify_change(state)
     while work > 1e-9:
         part.speed, part.since, part.left = get_job_speed(state, job), state.env.now, work
-        changed = state.changed
+        changed = part.changed = state.env.event()
         yield (
             simpy.AnyOf(state.env, [changed, state.env.timeout(work / part.speed)])
             if part.speed > 0

@@ -6,7 +6,7 @@ same hosts, only earlier or later. What hosts and links give is the same then, a
 decided from.
 """
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -14,8 +14,9 @@ from edgectl.experiments.model.scenario import Scenario
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Step
 from edgectl.model.policy import Policy
-from edgectl.model.snapshot import Snapshot
+from edgectl.model.snapshot import LinkSample, Snapshot, TaskSample
 from edgectl.model.task import Tasks
+from edgectl.scheduler.assign import PreparedPlan
 from edgectl.scheduler.known_plan import KnownPlan
 from edgectl.scheduler.stay_limits import StayLimits
 
@@ -35,12 +36,34 @@ class HostUse(NamedTuple):
 
 
 class KnownShares(NamedTuple):
-    """Shares and speeds of all tasks, as `SimState` has them, and what is in use by host. Never changed."""
+    """Shares and speeds of all tasks, or of those on one host, as `SimState` has them, and what is in use by
+    host. Never changed.
+    """
 
     cores: dict[str, float]
     rates: dict[str, dict[str, float]]
     speeds: dict[str, float]
-    used: Mapping[str, HostUse]
+    used: dict[str, HostUse]
+
+
+def join_shares(parts: Iterable[KnownShares]) -> KnownShares:
+    """The shares of all hosts, from those of each."""
+    joined = KnownShares({}, {}, {}, {})
+    for part in parts:
+        joined.cores.update(part.cores)
+        joined.rates.update(part.rates)
+        joined.speeds.update(part.speeds)
+        joined.used.update(part.used)
+    return joined
+
+
+class SimSample(NamedTuple):
+    """What a probe of one host shows: cores and bytes in use, and samples of links and tasks."""
+
+    cpu: float
+    memory: float
+    links: Mapping[str, LinkSample]
+    tasks: Mapping[str, TaskSample]
 
 
 @dataclass(slots=True, kw_only=True)
@@ -61,14 +84,21 @@ class KnownCycle:
 
 @dataclass(slots=True, kw_only=True)
 class SimMemory:
-    """Known states of this mission under this policy, whatever its seed."""
+    """Known states of this mission under this policy, whatever its seed.
+
+    ``shares``: of states of the whole fleet; ``hosts`` and ``samples``: of single hosts, which many such
+    states have in common. ``first_plan``: of any state, for what the plans of all states are decided from.
+    """
 
     inventory: Inventory
     tasks: Tasks
     scenario: Scenario
     policy: Policy
     shares: dict[Hashable, KnownShares] = field(default_factory=dict)
+    hosts: dict[Hashable, KnownShares] = field(default_factory=dict)
+    samples: dict[Hashable, SimSample] = field(default_factory=dict)
     cycles: dict[Hashable, KnownCycle] = field(default_factory=dict)
+    first_plan: PreparedPlan | None = None
 
     def is_of(self, inventory: Inventory, tasks: Tasks, scenario: Scenario, policy: Policy) -> bool:
         """Whether these are the mission and the policy of which the states are known."""
@@ -80,6 +110,18 @@ class SimMemory:
         if len(self.shares) >= _MAX_STATES:
             self.shares.clear()
         self.shares[key] = known
+
+    def add_host(self, key: Hashable, known: KnownShares) -> None:
+        """Keep what is in use on one host in one state of it."""
+        if len(self.hosts) >= _MAX_STATES:
+            self.hosts.clear()
+        self.hosts[key] = known
+
+    def add_sample(self, key: Hashable, known: SimSample) -> None:
+        """Keep what a probe shows of one host in one state of it."""
+        if len(self.samples) >= _MAX_STATES:
+            self.samples.clear()
+        self.samples[key] = known
 
     def add_cycle(self, key: Hashable, known: KnownCycle) -> None:
         """Keep what a plan is decided from in one state."""

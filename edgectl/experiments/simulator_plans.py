@@ -42,7 +42,12 @@ def plan_cycle(state: SimState) -> tuple[Step, ...]:
 
 def _may_change(plan: Sequence[Step]) -> bool:
     """Whether the next plan may be another one although only readings and the time are others."""
-    return any(step.action.changes or step.decision.reason not in _REASONS_WITHOUT_READINGS for step in plan)
+    return any(step.action.changes for step in plan) or _weighs_readings(plan)
+
+
+def _weighs_readings(plan: Sequence[Step]) -> bool:
+    """Whether another plan of the same state may differ, by readings and the time alone."""
+    return any(step.decision.reason not in _REASONS_WITHOUT_READINGS for step in plan)
 
 
 def _plan_anew(state: SimState) -> tuple[Step, ...]:
@@ -63,8 +68,16 @@ def _plan_from_memory(state: SimState, memory: SimMemory) -> tuple[Step, ...]:
         return _plan_again(state, known)
     snapshot = simulate_probe(state)
     prepared = prepare_plan(
-        state.inventory, state.tasks, snapshot, state.manager, state.policy, state.env.now, explain=False
+        state.inventory,
+        state.tasks,
+        snapshot,
+        state.manager,
+        state.policy,
+        state.env.now,
+        explain=False,
+        former=memory.first_plan,
     )
+    memory.first_plan = memory.first_plan or prepared
     plan = remember_plan(prepared)
     if plan is None:
         return diff_assignment(decide_plan(prepared, state.tasks), state.tasks, snapshot, state.manager)
@@ -97,6 +110,7 @@ def _keep_running_tasks(
     if known.kept is None:
         assignment = keep_running_tasks(known.plan.prepared)
         known.kept = diff_assignment(assignment, state.tasks, known.snapshot, state.manager)
+        known.standing = None if _weighs_readings(known.kept) else known.kept
     return known.kept
 
 
@@ -107,7 +121,7 @@ def _decide(state: SimState, known: KnownCycle, prepared: PreparedPlan) -> tuple
     if steps is None:
         steps = diff_assignment(assignment, state.tasks, known.snapshot, state.manager)
         known.steps[decided] = steps
-        if not _may_change(steps):
+        if not _weighs_readings(steps):
             known.standing = steps
     return steps
 

@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Speeds of simulated tasks: fair shares of processors and links, or the flow of items through both."""
 
-from collections.abc import Container, Hashable, Mapping
+from collections.abc import Hashable, Mapping
 
-from edgectl.experiments.model.scenario import Radio
-from edgectl.experiments.simulator_flows import select_ready_cycles, share_by_cycles
-from edgectl.experiments.simulator_memory import KnownShares, SimMemory
+from edgectl.experiments.simulator_flows import get_job_speed, select_ready_cycles, share_by_cycles
+from edgectl.experiments.simulator_memory import KnownShares, SimMemory, join_shares
 from edgectl.experiments.simulator_state import (
     SimState,
     SimTask,
+    describe_links,
+    do_hosts_share,
     forget_probe,
     get_link_bytes_per_s,
     get_nominal_bytes_per_s,
+    group_services,
+    measure_host,
     measure_hosts,
 )
 from edgectl.model.demand import ZERO
@@ -56,54 +59,79 @@ def _recall_speeds(state: SimState, memory: SimMemory) -> None:
     state.shared = describe_shares(state)
     known = memory.shares.get(state.shared)
     if known is None:
-        _compute_speeds(state)
-        known = KnownShares(state.cores, state.rates, state.speeds, measure_hosts(state))
+        known = _recall_hosts(state, memory)
         memory.add_shares(state.shared, known)
     state.cores, state.rates, state.speeds, state.known = known.cores, known.rates, known.speeds, known
 
 
+def _recall_hosts(state: SimState, memory: SimMemory) -> KnownShares:
+    """The speeds from those of each host, which its own tasks and links decide, unless a radio is shared."""
+    if do_hosts_share(state.scenario):
+        _compute_speeds(state)
+        return KnownShares(state.cores, state.rates, state.speeds, measure_hosts(state))
+    links, parts = describe_links(state), list[KnownShares]()
+    for host, services in group_services(state).items():
+        key = host, links, tuple([(name, each.ready) for name, each in services.items()])
+        part = memory.hosts.get(key)
+        if part is None:
+            part = _compute_host_shares(state, host, services)
+            memory.add_host(key, part)
+        parts.append(part)
+    return join_shares(parts)
+
+
+def _compute_host_shares(state: SimState, host: str, services: Mapping[str, SimTask]) -> KnownShares:
+    state.cores, state.rates, state.speeds = {}, {}, {}
+    _share_host_resources(state, host, services)
+    for name, service in services.items():
+        _set_speed(state, name, service)
+    return KnownShares(state.cores, state.rates, state.speeds, {host: measure_host(state, host, services)})
+
+
 def describe_shares(state: SimState) -> Hashable:
     """Equal where speeds and loads are, in a mission without events and cycles. Sums depend on the order."""
-    links = tuple([state.done.issuperset(change.after) for change in state.scenario.links])
-    return links, tuple([(name, each.host, each.ready) for name, each in state.services.items()])
+    services = [(name, each.host, each.ready) for name, each in state.services.items()]
+    return describe_links(state), tuple(services)
 
 
 def _compute_speeds(state: SimState) -> None:
     state.cores, state.rates, state.speeds = {}, {}, {}
     cycles = select_ready_cycles(state)
-    for host, services in _group_services(state, cycles).items():
-        _share_host_resources(state, host, services)
-    if state.scenario.radio is Radio.SHARED:
+    for host, services in group_services(state, cycles).items():
+        if services:
+            _share_host_resources(state, host, services)
+    if do_hosts_share(state.scenario):
         _share_air_time(state)
     for name, service in state.services.items():
-        if name in cycles:
-            continue
-        demand = _compute_demand_cores(state, service)
-        shares = [state.cores[name] / demand] if demand > 0 else []
-        shares += [
-            rate / _compute_demand_bytes_per_s(state, service, robot)
-            for robot, rate in state.rates[name].items()
-        ]
-        state.speeds[name] = min(shares, default=1.0) if service.ready else 0.0
+        if name not in cycles:
+            _set_speed(state, name, service)
     if cycles:
         share_by_cycles(state, cycles)
 
 
-def _group_services(state: SimState, without: Container[str]) -> dict[str, dict[str, SimTask]]:
-    """The services of each host that has some, in the order of the hosts."""
-    found: dict[str, dict[str, SimTask]] = {host: {} for host in state.scenario.hosts}
-    for name, service in state.services.items():
-        if name not in without:
-            found[service.host][name] = service
-    return {host: services for host, services in found.items() if services}
+def _set_speed(state: SimState, name: str, service: SimTask) -> None:
+    """The least of the shares of its demands that a task gets."""
+    demand = _compute_demand_cores(state, service)
+    shares = [state.cores[name] / demand] if demand > 0 else []
+    shares += [
+        rate / _compute_demand_bytes_per_s(state, service, robot) for robot, rate in state.rates[name].items()
+    ]
+    state.speeds[name] = min(shares, default=1.0) if service.ready else 0.0
 
 
 def notify_change(state: SimState) -> None:
-    """Wake what waits for a change; with events, note how well each task does that has work."""
+    """Wake what waits for a change, and the jobs whose speed is another; with events, note how well each task
+    does that has work.
+    """
     if state.scenario.events:
         _record_courses(state)
-    state.changed.succeed()
-    state.changed = state.env.event()
+    for part in state.working.values():
+        if part.changed is not None and get_job_speed(state, part.job) != part.speed:
+            part.changed.succeed()
+            part.changed = None
+    if state.changed.callbacks:
+        state.changed.succeed()
+        state.changed = state.env.event()
 
 
 def _record_courses(state: SimState) -> None:

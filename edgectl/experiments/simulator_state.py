@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """State of a simulation: what runs, what events change, what hosts and links give, usage meters."""
 
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Container, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import simpy
 
 from edgectl.experiments.model.mission_event import EventRecord, HostLoad, MissionEvent
-from edgectl.experiments.model.scenario import Scenario, SimHostUsage, SimJob
+from edgectl.experiments.model.scenario import Radio, Scenario, SimHostUsage, SimJob
 from edgectl.experiments.simulator_cycles import Flow
-from edgectl.experiments.simulator_memory import HostUse, KnownShares, SimMemory
+from edgectl.experiments.simulator_memory import HostUse, KnownShares, SimMemory, SimSample
 from edgectl.model.demand import ZERO
 from edgectl.model.inventory import Inventory
 from edgectl.model.link_reading import LinkHistory
@@ -18,7 +17,6 @@ from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Step
 from edgectl.model.policy import Policy, PolicyName
 from edgectl.model.resource import MEMORY
-from edgectl.model.snapshot import LinkSample, TaskSample
 from edgectl.model.task import Task, Tasks
 
 # A draw from the standard normal distribution.
@@ -66,22 +64,17 @@ class Overlay:
 
 @dataclass(slots=True, kw_only=True)
 class SimWork:
-    """A job that is worked on: its speed ``since`` then, and the robot that it serves alone."""
+    """A job that is worked on: its speed ``since`` then, and the robot that it serves alone.
+
+    ``changed`` happens when the speed becomes another; None while nothing waits for it.
+    """
 
     job: SimJob
     robot: str | None
     since: float
     speed: float = 0.0
     left: float = 0.0
-
-
-class SimSample(NamedTuple):
-    """What a probe of one host shows: cores and bytes in use, and samples of links and tasks."""
-
-    cpu: float
-    memory: float
-    links: Mapping[str, LinkSample]
-    tasks: Mapping[str, TaskSample]
+    changed: simpy.Event | None = None
 
 
 @dataclass(slots=True, kw_only=True)
@@ -171,6 +164,16 @@ def get_link_bytes_per_s(state: SimState, host: str, robot: str) -> float:
     return found
 
 
+def do_hosts_share(scenario: Scenario) -> bool:
+    """Whether tasks of one host slow those of others: they share the air time of one channel."""
+    return scenario.radio is Radio.SHARED
+
+
+def describe_links(state: SimState) -> Hashable:
+    """Equal where links carry the same, in a mission without events."""
+    return tuple([state.done.issuperset(change.after) for change in state.scenario.links])
+
+
 def compute_demand_bytes(state: SimState, service: SimTask) -> float:
     """Memory that the task uses, in bytes."""
     changed = state.overlay.demands.get(service.task.name)
@@ -198,13 +201,29 @@ def integrate_loads(state: SimState) -> None:
             meter.rated_s += seconds
 
 
+def group_services(state: SimState, without: Container[str] = ()) -> dict[str, dict[str, SimTask]]:
+    """The services of each host, in the order of the hosts."""
+    found: dict[str, dict[str, SimTask]] = {host: {} for host in state.scenario.hosts}
+    for name, service in state.services.items():
+        if name not in without:
+            found[service.host][name] = service
+    return found
+
+
 def measure_hosts(state: SimState) -> dict[str, HostUse]:
     """What is in use now, by host."""
-    rated: dict[str, list[tuple[float, float]]] = {host: [] for host in state.meters}
-    for name, service in state.services.items():
-        if service.ready and name in state.scenario.rate:
-            rated[service.host].append((state.speeds.get(name, 0.0), state.scenario.rate[name]))
-    return {host: HostUse(*compute_host_load(state, host), tuple(rated[host])) for host in state.meters}
+    return {host: measure_host(state, host, services) for host, services in group_services(state).items()}
+
+
+def measure_host(state: SimState, host: str, services: Mapping[str, SimTask]) -> HostUse:
+    """What is in use now on one host, which has these services."""
+    rates = state.scenario.rate
+    rated = [
+        (state.speeds.get(name, 0.0), rates[name])
+        for name, service in services.items()
+        if service.ready and name in rates
+    ]
+    return HostUse(*compute_host_load(state, host, services), tuple(rated))
 
 
 def forget_probe(state: SimState) -> None:
@@ -213,12 +232,13 @@ def forget_probe(state: SimState) -> None:
     state.standing = None
 
 
-def compute_host_load(state: SimState, host: str) -> tuple[float, float, float]:
-    """Cores, bytes and bytes/s in use now."""
+def compute_host_load(
+    state: SimState, host: str, services: Mapping[str, SimTask]
+) -> tuple[float, float, float]:
+    """Cores, bytes and bytes/s in use now on one host, which has these services."""
     machine = state.scenario.hosts[host]
     if host in state.overlay.lost:
         return 0.0, 0.0, 0.0
-    services = {name: service for name, service in state.services.items() if service.host == host}
     used = sum(state.cores.get(name, 0.0) for name in services)
     memory = machine.base_memory + sum(compute_demand_bytes(state, service) for service in services.values())
     base_cores = machine.base_cores

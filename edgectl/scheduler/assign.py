@@ -16,7 +16,7 @@ from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task, Tasks
 from edgectl.scheduler.candidates import AssignmentContext
-from edgectl.scheduler.capacities import Capacities, build_capacities
+from edgectl.scheduler.capacities import Capacities, build_capacities, update_samples
 from edgectl.scheduler.demand import add_measured_demands
 from edgectl.scheduler.demand_spread import find_demand_spreads
 from edgectl.scheduler.garbage import pause_collection
@@ -105,11 +105,21 @@ def prepare_plan(
     now: float,
     *,
     explain: bool = True,
+    former: PreparedPlan | None = None,
 ) -> PreparedPlan:
-    """The first half of `assign`: what the fleet and the tasks are like, before anything is decided."""
+    """The first half of `assign`: what the fleet and the tasks are like, before anything is decided.
+
+    ``former``: of the same files and policy, when hosts and links could do what they can now, the same hosts
+    were closed, and the manager had measured the same. What these alone decide is taken over (ADR 183): what
+    runs, what is in use and what the manager has placed may differ.
+    """
     rules = POLICIES[policy.name]
     used = replace(policy, weights=(rules.weights or policy.weights).normalised())
-    fleet = add_measured_demands(build_capacities(inventory, snapshot, manager, used.without), tasks, manager)
+    if former is None:
+        fleet = build_capacities(inventory, snapshot, manager, used.without)
+        fleet = add_measured_demands(fleet, tasks, manager)
+    else:
+        fleet = update_samples(former.measured.ledger.fleet, snapshot)
     measured = state = build_initial_state(tasks, manager, fleet, now, used)
     if not rules.strict_paper:
         state = reserve_running_tasks(state, tasks)
@@ -119,7 +129,7 @@ def prepare_plan(
         if rules.follows_pins
         else {}
     )
-    unpinned = order_tasks(tasks.tasks.values(), used.sequence)
+    unpinned = order_tasks(tasks.tasks.values(), used.sequence) if former is None else former.unpinned
     yielded = find_yielded_hosts(unpinned, pins) if pins and rules.settles else NOTHING_YIELDED
     order = pin_tasks(unpinned, pins, yielded)
     context = AssignmentContext(
@@ -127,13 +137,15 @@ def prepare_plan(
         fleet=fleet,
         policy=sign_weights(used) if rules.settles else used,
         rules=rules.candidates,
-        shares=build_demand_shares(fleet),
+        shares=build_demand_shares(fleet, None if former is None else former.how.context.shares),
         now=now,
         first=select_first_placements(manager, state),
         handoffs=collect_handoff_history(manager),
         placement_rules=build_placement_rules(order, fleet, state) if rules.settles else NO_RULES,
         ratings=collect_ratings(used, snapshot, fleet),
         turns={} if rules.settles else {task.name: turn for turn, task in enumerate(order)},
+        edge_rejections={} if former is None else former.how.context.edge_rejections,
+        offers={} if former is None else former.how.context.offers,
     )
     return PreparedPlan(
         how=PlacementPass(context=context, order=order, rules=rules, initial=state, explain=explain),

@@ -2,7 +2,7 @@
 """Capacities (Delta) of the fleet: hosts as numbered places, and the hosts that are closed to new work."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from math import inf
 from typing import TYPE_CHECKING
 
@@ -130,6 +130,11 @@ def build_capacities(
             if not resource.optional or not _LIMITLESS.issuperset(raw[resource.name])
         ),
     )
+
+
+def update_samples(fleet: Capacities, snapshot: Snapshot) -> Capacities:
+    """The fleet in another snapshot, in which hosts and links can do the same."""
+    return replace(fleet, samples=tuple([snapshot.hosts.get(host.name) for host in fleet.places]))
 
 
 def _resolve_capacity(host: Host, sample: HostSample | None, resource: Resource) -> float:

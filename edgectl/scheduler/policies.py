@@ -99,7 +99,7 @@ class SchedulingPolicy:
     ``settles``: passes are repeated until one changes nothing. ``strict_paper``: a running task's own use
     stays in gamma, and only what ran before the pass is a predecessor. ``weighs_moves``: a change of one
     number may reverse a decision, so it can be explained. ``weights``: instead of those of the files.
-    ``follows_pins``: of an operator (ADR 140).
+    ``follows_pins``: of an operator (ADR 140). ``moves``: a running task may leave its place.
     """
 
     candidates: CandidateRules
@@ -109,6 +109,7 @@ class SchedulingPolicy:
     weighs_moves: bool = False
     weights: Weights | None = None
     follows_pins: bool = True
+    moves: bool = True
 
 
 _BY_RULES = CandidateRules(
@@ -122,7 +123,9 @@ _LEAST_LOADED_WEIGHTS = Weights(cpu=0.5, memory=0.5, network=0.0, task=0.0)
 def _build_static_policy(score: PlaceScore, reason: Reason) -> SchedulingPolicy:
     """Tasks are placed once, by ``score``, and never moved."""
     return SchedulingPolicy(
-        candidates=_BY_RULES, choose=partial(choose_static, choose_first=_choose_first_by(score, reason))
+        candidates=_BY_RULES,
+        choose=partial(choose_static, choose_first=_choose_first_by(score, reason)),
+        moves=False,
     )
 
 
@@ -145,7 +148,7 @@ POLICIES: Mapping[PolicyName, SchedulingPolicy] = MappingProxyType(
             choose=choose_by_paper,
             strict_paper=True,
         ),
-        PolicyName.STATIC: SchedulingPolicy(candidates=_BY_RULES, choose=choose_static),
+        PolicyName.STATIC: SchedulingPolicy(candidates=_BY_RULES, choose=choose_static, moves=False),
         PolicyName.STATIC_LEAST_LOADED: _build_static_policy(score_free_share, Reason.LEAST_LOADED),
         PolicyName.STATIC_IN_TURN: _build_static_policy(score_turn, Reason.IN_TURN),
         PolicyName.STATIC_RANDOM: _build_static_policy(score_draw, Reason.DRAWN),

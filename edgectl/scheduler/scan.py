@@ -6,7 +6,7 @@ shares: UT = free share - demanded share, one row operation per resource.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from operator import lt, sub
 from typing import Any, NamedTuple
 
@@ -222,8 +222,10 @@ def _rate_row(shares: Row) -> ShareRow:
     return ShareRow(shares, max(shares, default=0.0))
 
 
-def build_demand_shares(fleet: Capacities) -> DemandShares:
-    """Empty shares of ``fleet``."""
+def build_demand_shares(fleet: Capacities, former: DemandShares | None = None) -> DemandShares:
+    """Shares of ``fleet``: empty, or the ``former`` ones, of the same capacities: none depends on loads."""
+    if former is not None:
+        return replace(former, fleet=fleet)
     return DemandShares(fleet=fleet, ones=[1.0] * fleet.edges, zeros=[0.0] * fleet.edges)
 
 

@@ -40,12 +40,17 @@ class StayLimits:
 
 
 def find_stay_limits(prepared: PreparedPlan) -> StayLimits | None:
-    """The limits of the tasks of a plan; None where more than CPU decides, or a task runs nowhere."""
+    """The limits of the tasks of a plan; None where more than CPU decides, or a task runs nowhere.
+
+    Under a policy that moves nothing every reading is within them.
+    """
     how, state = prepared.how, prepared.how.initial
-    if not _is_decided_by_totals(prepared):
-        return None
     tasks = [task for task in how.order if task.name not in state.fixed]
     if not all(_is_plain(task) for task in tasks):
+        return None
+    if not how.rules.moves:
+        return StayLimits(leads=(), floors=()) if all(task.name in state.running for task in tasks) else None
+    if not _is_decided_by_totals(prepared):
         return None
     leads: dict[tuple[int, int], float] = {}
     for task in tasks:
@@ -70,12 +75,13 @@ def keep_running_tasks(prepared: PreparedPlan) -> Assignment:
     Where `decide_plan` says below the margin, or dwell, this says still best.
     """
     state, fleet = prepared.how.initial, prepared.how.context.fleet
+    reason = Reason.STILL_BEST if prepared.how.rules.moves else Reason.NEVER_MOVED
     decisions = list[Decision]()
     for task in prepared.how.order:
         fixed = state.fixed.get(task.name)
         if fixed is None:
             place = state.running[task.name].place
-            stays = Choice(verdict=Verdict.KEPT, reason=Reason.STILL_BEST, place=place)
+            stays = Choice(verdict=Verdict.KEPT, reason=reason, place=place)
             fixed = build_plain_decision(fleet, task, stays, place)
         decisions.append(fixed)
     return Assignment(

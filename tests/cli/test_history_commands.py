@@ -102,7 +102,7 @@ def test_fence_takes_the_name_of_the_host_for_a_yes(run: Run, small: Path) -> No
     assert run("unfence", "edge2").out == "edge/edge2 unfenced\n"
     said = run("probe")
     assert "warning: edge1 answers, so it is not powered off: its fence is cleared\n" in said.err
-    assert run("unfence", "edge1").out == "edge/edge1 unfenced\n"
+    assert run("unfence", "edge1").out == "edge/edge1 already unfenced\n"
     tried = run("fence", "edge1", "--dry-run")
     assert tried.out == "edge/edge1 fenced (dry run)\n"
     assert tried.err.startswith("note: edge1 last answered ")

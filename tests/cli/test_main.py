@@ -48,6 +48,10 @@ def test_help_is_printed_where_no_command_is_given(run: Run) -> None:
     assert whole.code == 0
     assert run("help", "plan") == run("plan", "--help")
     assert "-W, --weights" in run("help", "plan").out
+    assert run("plan", "-h") == run("help", "plan")
+    waiting = " ".join(run("wait", "-h").out.split())
+    for default in ("[default: ready]", "[default: 60s]", "[default: 1s]"):
+        assert default in waiting
 
 
 def test_a_typo_is_answered_with_the_command_that_was_meant(run: Run) -> None:

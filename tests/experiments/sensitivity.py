@@ -5,8 +5,9 @@ import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from io import BytesIO
-from math import ceil
+from math import ceil, exp, log
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 from matplotlib import rc_context
@@ -15,7 +16,9 @@ from matplotlib.patches import Rectangle
 
 from edgectl.experiments.files.sweep_file import load_sweep
 from edgectl.experiments.files.sweep_results import load_results
+from edgectl.experiments.model.comparison import Interval
 from edgectl.experiments.model.sweep import Sweep, SweepWorld, WorldResult
+from edgectl.experiments.paired_tests import estimate_mean_interval
 from edgectl.experiments.report.figure_style import FIGURE_WIDTH_IN, SMALL_TEXT_PT, TEXT_PT
 from edgectl.experiments.scheme_results import compute_estimate
 
@@ -29,6 +32,7 @@ MARKS = "<!-- begin of the table: make sensitivity -->\n", "<!-- end of the tabl
 ALIKE = 0.02
 LOCAL, STATIC, DYNAMIC = "local", "static", "utility all"
 ENOUGH = {LOCAL: "local", STATIC: "static", DYNAMIC: "dynamic"}
+MINUTE = 60.0
 GRID_AXES = ("radio", "robot_cores", "link_ratio")
 
 
@@ -45,11 +49,15 @@ def find_enough(result: WorldResult) -> str:
     return next(name for name in (LOCAL, STATIC, DYNAMIC) if means[name] <= least * (1 + ALIKE))
 
 
-def compute_gain(result: WorldResult) -> float:
-    """By which share of the better of local and static the dynamic scheme is faster; negative: slower."""
-    means = {name: compute_estimate(each.latency).mean for name, each in result.schemes.items()}
-    other = min(means[LOCAL], means[STATIC])
-    return (other - means[DYNAMIC]) / other
+def compute_gain(result: WorldResult) -> Interval:
+    """By which share of the better of local and static the dynamic scheme is faster, by pairs of the same seed
+    (geometric mean of the ratios), with its 95 % interval; negative: slower.
+    """
+    better = min((LOCAL, STATIC), key=lambda name: fmean(result.schemes[name].latency))
+    pairs = zip(result.schemes[DYNAMIC].latency, result.schemes[better].latency, strict=True)
+    found = estimate_mean_interval([log(dynamic / other) for dynamic, other in pairs])
+    low, high = (found.mean if each is None else each for each in (found.high, found.low))
+    return Interval(mean=1.0 - exp(found.mean), low=1.0 - exp(low), high=1.0 - exp(high))
 
 
 def is_in_grid(world: SweepWorld) -> bool:
@@ -73,11 +81,11 @@ def render_table(sweep: Sweep, results: Mapping[str, WorldResult]) -> str:
         ]
         lines.append("|---|" + "---|" * len(ratios))
         for core in cores:
-            cells = (_format_cell(grid[radio, core, ratio]) for ratio in ratios)
+            cells = (format_cell(grid[radio, core, ratio]) for ratio in ratios)
             lines.append(f"| {core} | {' | '.join(cells)} |")
         lines.append("")
     lines += [
-        "| setting | local, s | static, s | utility all, s | enough | gain |",
+        "| setting | local, min | static, min | utility all, min | enough | gain |",
         "|---|---|---|---|---|---|",
     ]
     for world in sweep.worlds:
@@ -89,18 +97,25 @@ def render_table(sweep: Sweep, results: Mapping[str, WorldResult]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _format_cell(result: WorldResult) -> str:
-    sure = "" if result.winner == find_enough(result) else "?" if find_enough(result) == DYNAMIC else ""
-    return f"{ENOUGH[find_enough(result)]}{sure} {_format_gain(result)}"
+def format_cell(result: WorldResult) -> str:
+    """Which scheme is enough, and the gain of the dynamic one with its interval."""
+    return f"{ENOUGH[find_enough(result)]} {_format_gain(result)}"
 
 
 def _format_gain(result: WorldResult) -> str:
-    return f"{round(100 * compute_gain(result)):+d}%"
+    gain = compute_gain(result)
+    return f"{_format_percent(gain.mean)}% [{', '.join(map(_format_percent, (gain.low, gain.high)))}]"
+
+
+def _format_percent(share: float | None) -> str:
+    """Whole percents with their sign; 0 has none."""
+    whole = round(100 * (share or 0.0))
+    return f"{whole:+d}" if whole else "0"
 
 
 def _format_time(result: WorldResult, scheme: str) -> str:
     estimate = compute_estimate(result.schemes[scheme].latency)
-    return f"{estimate.mean:.0f} ± {estimate.half_ci95:.0f}"
+    return f"{estimate.mean / MINUTE:.1f}±{estimate.half_ci95 / MINUTE:.1f}"
 
 
 def draw_figure(sweep: Sweep, results: Mapping[str, WorldResult]) -> bytes:
@@ -121,7 +136,8 @@ def draw_figure(sweep: Sweep, results: Mapping[str, WorldResult]) -> bytes:
     return data.getvalue()
 
 
-_COLOURS = {LOCAL: "#767676", STATIC: "#0072b2", DYNAMIC: "#d55e00"}
+# Those of the same schemes in the figures of docs/evaluation.md.
+COLOURS = {LOCAL: "#767676", STATIC: "#0072b2", DYNAMIC: "#009e73"}
 
 
 def _draw_maps(figure: SubFigure, sweep: Sweep, results: Mapping[str, WorldResult]) -> None:
@@ -136,16 +152,14 @@ def _draw_maps(figure: SubFigure, sweep: Sweep, results: Mapping[str, WorldResul
         for world in here:
             x, y = ratios.index(world.settings["link_ratio"]), cores.index(world.settings["robot_cores"])
             result = results[world.digest]
-            axes.add_patch(_build_square(x, y, _COLOURS[find_enough(result)]))
-            axes.text(
-                x,
-                y,
-                f"{_format_gain(result)}",
-                ha="center",
-                va="center",
-                color="white",
-                fontweight="bold",
-            )
+            axes.add_patch(_build_square(x, y, COLOURS[find_enough(result)]))
+            gain = compute_gain(result)
+            low, high = (_format_percent(each) for each in (gain.low, gain.high))
+            for text, height, size in (
+                (f"{_format_percent(gain.mean)}%", y + 0.17, TEXT_PT),
+                (f"{low} .. {high}", y - 0.26, SMALL_TEXT_PT),
+            ):
+                axes.text(x, height, text, ha="center", va="center", color="white", fontsize=size)
         axes.set(
             xlim=(-0.5, len(ratios) - 0.5), ylim=(-0.5, len(cores) - 0.5),
             xticks=range(len(ratios)), xticklabels=[f"1:{ratio}" for ratio in ratios],
@@ -154,7 +168,7 @@ def _draw_maps(figure: SubFigure, sweep: Sweep, results: Mapping[str, WorldResul
         axes.set_title(f"radio: {radio}", fontsize=TEXT_PT)
     figure.axes[-1].set_xlabel("far link to near link")
     figure.legend(
-        handles=[_build_square(0, 0, colour) for colour in _COLOURS.values()],
+        handles=[_build_square(0, 0, colour) for colour in COLOURS.values()],
         labels=["local is best or as good", "static is enough", "dynamic wins"],
         loc="outside upper center", ncols=2, frameon=False,
     )  # fmt: skip
@@ -169,10 +183,11 @@ def _draw_lines(figure: SubFigure, sweep: Sweep, results: Mapping[str, WorldResu
     panels = figure.subplots(ceil(len(names) / 2), 2, sharey=True).flat
     for axes, name in zip(panels, names, strict=False):
         worlds = [world for world in sweep.worlds if set(world.settings) == {name}]
-        for scheme, colour in _COLOURS.items():
+        for scheme, colour in COLOURS.items():
             found = [compute_estimate(results[world.digest].schemes[scheme].latency) for world in worlds]
             axes.errorbar(
-                range(len(worlds)), [each.mean for each in found], yerr=[each.half_ci95 for each in found],
+                range(len(worlds)), [each.mean / MINUTE for each in found],
+                yerr=[each.half_ci95 / MINUTE for each in found],
                 color=colour, marker="o", markersize=3, linewidth=1.2, capsize=2,
             )  # fmt: skip
         axes.set(
@@ -180,7 +195,7 @@ def _draw_lines(figure: SubFigure, sweep: Sweep, results: Mapping[str, WorldResu
         )
         axes.set_ylim(bottom=0)
         axes.spines[["top", "right"]].set_visible(False)
-    figure.supylabel("mission time, s", fontsize=TEXT_PT)
+    figure.supylabel("mission time, min", fontsize=TEXT_PT)
 
 
 def replace_table(page: str, table: str) -> str:

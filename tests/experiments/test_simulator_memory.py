@@ -7,12 +7,16 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+import simpy
 
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.experiments.files.scenario_file import load_scenario, load_scenario_paths
-from edgectl.experiments.model.scenario import Scenario, SimRun
+from edgectl.experiments.model.scenario import Radio, Scenario, SimRun
 from edgectl.experiments.simulator import simulate_mission
-from edgectl.experiments.simulator_memory import KnownShares, SimMemory
+from edgectl.experiments.simulator_memory import KnownShares, SimMemory, SimSample
+from edgectl.experiments.simulator_probe import simulate_probe
+from edgectl.experiments.simulator_speeds import update_speeds
+from edgectl.experiments.simulator_state import HostMeter, SimState, SimTask
 from edgectl.model.inventory import Inventory
 from edgectl.model.policy import Policy, PolicyName
 from edgectl.model.task import Tasks
@@ -66,9 +70,41 @@ def test_the_memory_of_another_mission_is_refused() -> None:
             simulate_mission(inventory, tasks, scenario, policy, lambda: 0.0, memory=memory)
 
 
+@pytest.mark.parametrize("radio", Radio)
+def test_a_probe_of_one_host_shows_what_tasks_of_others_leave_it(radio: Radio) -> None:
+    """Both links are far. Each has its rate to itself, or half of the time of the channel."""
+    inventory, tasks, world = load("changing-links")
+    world = replace(world, radio=radio)
+    env = simpy.Environment()
+    state = SimState(
+        env=env, inventory=inventory, tasks=tasks, scenario=world, policy=tasks.policy, draw_normal=lambda: 0.0,
+        changed=env.event(), reference=inventory.edges[0].name, meters={host: HostMeter() for host in world.hosts},
+        memory=SimMemory(inventory=inventory, tasks=tasks, scenario=world, policy=tasks.policy),
+    )  # fmt: skip
+    for name, host in (("detection-robot2", "edge3"), ("detection-robot1", "edge2")):
+        state.services[name] = SimTask(task=tasks.tasks[name], host=host, since=0.0, ready=True)
+
+    def probe() -> tuple[float, float]:
+        sample = simulate_probe(state).hosts["edge2"]
+        return sample.links["robot1"].used_bytes_per_s, sample.tasks["detection-robot1"].links["robot1"]  # type: ignore[index]
+
+    update_speeds(state)
+    beside = probe()
+    del state.services["detection-robot2"]
+    update_speeds(state)
+    assert beside[0] == beside[1]
+    assert (probe() > beside) is (radio is Radio.SHARED)
+    # The same instance of another run was started at another time.
+    state.services["detection-robot1"].since = 5.0
+    update_speeds(state)
+    assert simulate_probe(state).hosts["edge2"].tasks["detection-robot1"].started_at == 5.0
+
+
 def test_a_memory_does_not_grow_for_ever() -> None:
     inventory, tasks, world = load("paper-2")
     memory = SimMemory(inventory=inventory, tasks=tasks, scenario=world, policy=Policy())
     for number in range(12_000):
         memory.add_shares(number, KnownShares({}, {}, {}, {}))
-    assert 0 < len(memory.shares) <= 5000
+        memory.add_host(number, KnownShares({}, {}, {}, {}))
+        memory.add_sample(number, SimSample(0.0, 0.0, {}, {}))
+    assert all(0 < len(kept) <= 5000 for kept in (memory.shares, memory.hosts, memory.samples))

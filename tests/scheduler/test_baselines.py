@@ -127,6 +127,51 @@ def test_the_seed_decides_the_draw_and_every_host_is_drawn_alike() -> None:
     assert {draw(seed, lost) for seed, host in enumerate(drawn) if host == "alpha"} == {"zulu", "mike"}
 
 
+def test_static_by_random_draws_once_for_each_seed_among_the_hosts_with_room() -> None:
+    """As `random` draws; then it stays, which no other draw changes."""
+    tasks = some_tasks(a_task("slam", cpu=1.0), a_task("nav", cpu=1.0))
+    roomy = a_snapshot(zulu=a_sample(), mike=a_sample(used=3.5), alpha=a_sample(used=1.0))
+
+    def draw(name: str, seed: int) -> dict[str, str | None]:
+        found = run_assign(FLEET, tasks, roomy, policy=a_policy(name, seed))
+        assert {decision.reason for decision in found.decisions} == {Reason.DRAWN}
+        return hosts_by_task(found)
+
+    drawn = [draw("static-random", seed) for seed in range(200)]
+    assert drawn == [draw("random", seed) for seed in range(200)]
+    pairs = Counter((hosts["slam"], hosts["nav"]) for hosts in drawn)
+    # mike has room for half a core; all pairs of the others come up, a quarter of the time each
+    assert pairs.keys() == {(one, other) for one in ("zulu", "alpha") for other in ("zulu", "alpha")}
+    # chi-square of 4 classes: 16.3 is exceeded with probability .001, and the seeds are fixed
+    assert sum((count - 50) ** 2 / 50 for count in pairs.values()) < 16.3
+    run = {"slam": a_run(used=Usage(cpu=1.0)), "nav": a_run(used=Usage(cpu=1.0))}
+    running = a_snapshot(zulu=a_sample(), mike=a_sample(used=3.5), alpha=a_sample(used=3.0, tasks=run))
+    for seed in range(20):
+        kept = run_assign(FLEET, tasks, running, policy=a_policy("static-random", seed))
+        assert {decision.reason for decision in kept.decisions} == {Reason.NEVER_MOVED}
+
+
+@pytest.mark.parametrize(
+    ("name", "hosts"),
+    [
+        # mean of free CPU and memory: mike .45 as zulu (by name), then zulu .45 against mike 0 and .4; then both .2 (by name)
+        ("static", ["mike", "zulu", "mike"]),
+        ("static-least-loaded", ["mike", "zulu", "mike"]),
+        ("static-in-turn", ["alpha", "mike", "zulu"]),
+        # 17.175 at alpha, which is full then; 13.755 at both others (by name); then 20 - (1 + 2.512) at mike
+        ("static-pack", ["alpha", "mike", "mike"]),
+    ],
+)
+def test_each_static_scheme_places_by_its_own_rule_and_keeps_all(name: str, hosts: list[str]) -> None:
+    tasks = some_tasks(*(a_task(f"t{number}", cpu=1.0, memory=GI) for number in range(3)))
+    found = run_assign(FLEET, tasks, SNAPSHOT, policy=a_policy(name))
+    assert [decision.host for decision in found.decisions] == hosts
+    snapshot, memory = simulate_apply(found, tasks, SNAPSHOT, ManagerState())
+    again = run_assign(FLEET, tasks, snapshot, memory=memory, policy=a_policy(name))
+    assert hosts_by_task(again) == hosts_by_task(found)
+    assert {decision.reason for decision in again.decisions} == {Reason.NEVER_MOVED}
+
+
 @pytest.mark.parametrize("name", ["pack", "random"])
 def test_a_running_task_stays_while_it_fits_and_leaves_when_it_does_not(name: str) -> None:
     """utility would go to the empty alpha: (4 - 1) / 4 against (4 - 2.5 - 1) / 4."""

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import PolicyName
 from edgectl.model.resource import CPU, Usage
-from edgectl.model.snapshot import HostSample
+from edgectl.model.snapshot import HostSample, TaskSample, TaskState
 from edgectl.rules.measured_demand import WARM_UP_S
 from edgectl.scheduler.assign import assign, decide_plan, prepare_plan
 from edgectl.scheduler.known_plan import read_again, remember_plan
@@ -104,6 +104,57 @@ def test_a_plan_read_again_is_the_one_made_anew(pair: tuple[Case, Case]) -> None
             later.inventory, later.tasks, later.snapshot, later.memory, later.policy, LATER, explain=explain
         )
         assert decide_plan(again, later.tasks) == made
+
+
+@st.composite
+def other_states(draw: st.DrawFn) -> tuple[Case, Case]:
+    """A fleet, and the same hosts and links at another time: other tasks run elsewhere, and use something else."""
+    case = draw(cases())
+    policy = replace(case.policy, name=draw(st.sampled_from(PolicyName)))
+    answering = [name for name, sample in case.snapshot.hosts.items() if sample.ok]
+    runs: dict[str, dict[str, TaskSample]] = {name: {} for name in answering}
+    for host in answering:
+        for name, run in case.snapshot.hosts[host].tasks.items():
+            for other in draw(st.lists(st.sampled_from(answering), max_size=2, unique=True)):
+                age = draw(st.sampled_from([5.0, 500.0]))
+                state = draw(st.sampled_from(TaskState))
+                runs[other][name] = replace(run, state=state, started_at=LATER - age)
+    hosts = {
+        name: replace(
+            sample,
+            tasks=runs[name],
+            usage={
+                key: replace(each, used=draw(shares) * each.capacity) for key, each in sample.usage.items()
+            },
+        )
+        if name in runs
+        else sample
+        for name, sample in case.snapshot.hosts.items()
+    }
+    placed = {name: host for host, found in runs.items() for name in found if name in case.tasks.tasks}
+    memory = replace(_place(case.memory, placed, LATER - 5.0), first=placed, downtimes={}, stays={}, done={})
+    later = replace(
+        case,
+        snapshot=replace(case.snapshot, taken_at=LATER, hosts=hosts),
+        memory=memory,
+        policy=replace(policy, seed=draw(st.integers(0, 3))),
+    )
+    return replace(case, policy=policy), later
+
+
+@settings(max_examples=settings().max_examples // 2)
+@given(other_states())
+def test_what_a_former_plan_knows_of_hosts_and_files_holds_for_the_next(pair: tuple[Case, Case]) -> None:
+    case, later = pair
+    for explain in (False, True):
+        former = prepare_plan(
+            case.inventory, case.tasks, case.snapshot, case.memory, case.policy, NOW, explain=explain
+        )
+        decide_plan(former, case.tasks)  # what it keeps of tasks and places is kept by now
+        given_later = (later.inventory, later.tasks, later.snapshot, later.memory, later.policy, LATER)
+        for _ in range(2):
+            again = prepare_plan(*given_later, explain=explain, former=former)
+            assert decide_plan(again, later.tasks) == assign(*given_later, explain=explain)
 
 
 def test_a_plan_in_which_a_load_is_taken_away_is_not_read_again() -> None:

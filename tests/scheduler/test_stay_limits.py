@@ -82,6 +82,8 @@ def test_within_the_limits_nothing_leaves_its_place(pair: tuple[Case, Case]) -> 
             (d.task, d.verdict, d.host, d.previous_host) for d in made.decisions
         ]
         assert kept.standbys == made.standbys
+        if not prepared.how.rules.moves:
+            assert [d.reason for d in kept.decisions] == [d.reason for d in made.decisions]
 
 
 def some_fleet(dice: Random, policy: Policy) -> Case:
@@ -171,13 +173,28 @@ def test_a_reading_beyond_a_limit_moves_the_task() -> None:
     assert not stays_within(known, limits, {"west": 2.0, "north": 4.0, "east": 3.0}, slow)
 
 
+@pytest.mark.parametrize("name", [name for name in PolicyName if name.startswith("static")])
+def test_under_a_policy_that_moves_nothing_every_reading_is_within(name: PolicyName) -> None:
+    dice = Random(5)
+    case = some_fleet(dice, Policy(name=name))
+    prepared, known, limits = prepare(case)
+    assert known is not None
+    assert limits is not None
+    for used in list_readings(case, dice):
+        assert stays_within(known, limits, used, case.memory)
+        made = read_cpu(case, used).assign()
+        assert not list_moved(prepared, made)
+        assert [decision.reason for decision in keep_running_tasks(prepared).decisions] == [
+            decision.reason for decision in made.decisions
+        ]
+
+
 @pytest.mark.parametrize(
     "changed",
     [
         {"prefer": Preference.PACK},
         {"rebalance": True},
         {"weights": Weights(cpu=1.0, memory=0.0, network=0.0, task=0.0, latency=1.0)},
-        {"name": PolicyName.STATIC},
         {"name": PolicyName.PAPER},
     ],
 )
