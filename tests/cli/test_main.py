@@ -211,3 +211,24 @@ def test_a_missing_choice_is_named_in_one_plain_line(run: Run, site: Path) -> No
     assert said.code == 64
     assert "\\n" not in said.err
     assert "Missing argument 'KIND'. Choose from: hosts, links, tasks, " in said.err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("init", "error: Missing argument 'DIR'\nhint: for example: edgectl init demo\n"),
+        (
+            "move slam",
+            "error: Missing argument 'HOST'\nhint: for example: edgectl move navigation-robot1 edge2\n",
+        ),
+        (
+            "describe robot-arm",
+            "error: 'robot-arm' is no kind\nhint: name it: edgectl describe edge|robot|task robot-arm\n",
+        ),
+        ("status slam", "error: unexpected argument: slam\nhint: see edgectl status --help\n"),
+    ],
+)
+def test_what_is_missing_or_too_much_is_answered_with_a_call_that_works(
+    words: str, said: str, run: Run
+) -> None:
+    assert run(*words.split()) == (64, "", said)

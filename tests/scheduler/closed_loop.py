@@ -80,15 +80,14 @@ class ClosedLoop:
             errors = [dice.uniform(-self.noise, self.noise) for _ in range(self.readings)]
             share = max(0.0, used + sum(errors) / self.readings)
             self.history.setdefault(edge, []).append(share)
-            runs = {
-                name: a_run(used=self._build_usage(name), started_at=self.since[name], instance=name)
-                for name in here
-            }
-            samples[edge] = self._build_sample(share, runs)
+            samples[edge] = self._build_sample(share, {name: self._build_run(name) for name in here})
         return a_snapshot(samples, taken_at=now)
 
-    def _build_usage(self, name: str) -> Usage:
-        return Usage({self.resource: self.use * self.demands[name] * CAPACITIES[self.resource]})
+    def _build_run(self, name: str) -> TaskSample:
+        amount = self.use * self.demands[name] * CAPACITIES[self.resource]
+        links = {"robot1": amount} if self.resource == "network" else None
+        used = Usage({self.resource: amount})
+        return a_run(used=used, links=links, started_at=self.since[name], instance=name)
 
     def _build_sample(self, share: float, runs: Mapping[str, TaskSample]) -> HostSample:
         used = dict.fromkeys(CAPACITIES, 0.0) | {self.resource: share * CAPACITIES[self.resource]}
@@ -136,11 +135,18 @@ def build_tight_loop(
     )
 
 
-def build_saturated_loop(*, smooth: bool, seed: int = 1) -> ClosedLoop:
+def build_saturated_loop(*, smooth: bool, seed: int = 1, resource: str = "cpu") -> ClosedLoop:
     """Six tasks that use four times what they declare, on three edges that are all above their capacity."""
     names = [f"task{n}" for n in range(6)]
-    edges = ("edge1", "edge2", "edge3")
+    edges = ("zeta", "beta", "alpha")
     where = {name: edges[n % 3] for n, name in enumerate(names)}
     return ClosedLoop(
-        dict.fromkeys(names, 0.1), dict.fromkeys(edges, 0.3), where, 0.02, smooth, seed=seed, use=4.0
+        dict.fromkeys(names, 0.1),
+        dict.fromkeys(edges, 0.3),
+        where,
+        0.02,
+        smooth,
+        seed=seed,
+        use=4.0,
+        resource=resource,
     )

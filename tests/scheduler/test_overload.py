@@ -221,18 +221,22 @@ def test_a_day_of_cron_moves_nothing_after_five_seconds_of_noise() -> None:
     assert moves[10] == 0
 
 
+@pytest.mark.parametrize("resource", ["cpu", "memory", "network"])
 @pytest.mark.parametrize("smooth", [True, False])
-def test_a_saturated_fleet_is_left_as_it_is(smooth: bool) -> None:
+def test_a_saturated_fleet_is_left_as_it_is(smooth: bool, resource: str) -> None:
     """All tasks use four times what they declare: every host is above its capacity, and no place is better."""
-    assert build_saturated_loop(smooth=smooth).run(cycles=120) == 0
+    assert build_saturated_loop(smooth=smooth, resource=resource).run(cycles=120) == 0
 
 
-def test_an_overload_that_a_move_relieves_is_relieved_once() -> None:
-    where = {"task1": "edge1", "task2": "edge1", "task3": "edge1", "task4": "edge2"}
-    base = dict.fromkeys(("edge1", "edge2"), 0.3)
-    loop = ClosedLoop(dict.fromkeys(where, 0.1), base, where, noise=0.02, smooth=True, use=4.0)
+@pytest.mark.parametrize("resource", ["cpu", "memory", "network"])
+def test_an_overload_that_a_move_relieves_is_relieved_once(resource: str) -> None:
+    where = {"task1": "zeta", "task2": "zeta", "task3": "zeta", "task4": "beta"}
+    base = dict.fromkeys(("zeta", "beta"), 0.3)
+    loop = ClosedLoop(
+        dict.fromkeys(where, 0.1), base, where, noise=0.02, smooth=True, use=4.0, resource=resource
+    )
     assert loop.run(cycles=60) == 1
-    assert sorted(loop.where.values()) == ["edge1", "edge1", "edge2", "edge2"]
+    assert sorted(loop.where.values()) == ["beta", "beta", "zeta", "zeta"]
 
 
 def test_decisions_of_a_saturated_fleet_name_what_is_short() -> None:

@@ -32,6 +32,12 @@ def test_a_task_that_just_fits_stays_under_a_watch(tmp_path: Path, resource: str
     assert watch_tight_site(tmp_path, resource, int(900 / EVERY), up_to=OFF_BY_2_PERCENT) == 0
 
 
+@pytest.mark.parametrize("resource", RESOURCES)
+def test_a_watch_leaves_a_task_where_no_edge_is_better(tmp_path: Path, resource: str) -> None:
+    """All edges are above their capacity: ten minutes."""
+    assert watch_tight_site(tmp_path, resource, 60, crowded=True, up_to=OFF_BY_2_PERCENT) == 0
+
+
 @pytest.mark.parametrize("resource", ["cpu", "network"])
 def test_errors_that_outlast_a_reading_are_smoothed_over_the_last_minutes(
     tmp_path: Path, resource: str

@@ -40,8 +40,12 @@ class CronSite:
         return moves
 
 
-def watch_tight_site(state: Path, resource: str, cycles: int, **noise: float) -> int:
-    """The moves that a watch of ``cycles`` makes."""
+def watch_tight_site(
+    state: Path, resource: str, cycles: int, *, crowded: bool = False, **noise: float
+) -> int:
+    """The moves that a watch of ``cycles`` makes. ``crowded``: from the second one on no edge has room for the
+    task, with or without it.
+    """
     state.mkdir(exist_ok=True)
     site = WatchSite(state, tasks=build_tasks(resource), inventory=build_inventory())
     readings = NoisyReadings(site.hosts, lambda: NOW + site.hands.seconds, resource=resource, **noise)  # type: ignore[arg-type]
@@ -50,5 +54,7 @@ def watch_tight_site(state: Path, resource: str, cycles: int, **noise: float) ->
         assert not cycle.error
         moves += bool(before) and readings.home != before
         before = readings.home
+        if crowded:
+            readings.base = dict.fromkeys(readings.base, 1.1)
     assert before in ("zeta", "beta")
     return moves
