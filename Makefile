@@ -111,10 +111,13 @@ sensitivity: setup
 	@$(PY) -m tests.experiments.sensitivity
 
 # Tasks in containers of a real Docker Engine (root), whose programs it takes out of Debian's packages: docs/concepts/containers.md.
-# A short form runs in the suite. Then the image of edgectl itself, on a base of Debian's packages.
+# A short form runs in the suite. Then the image of edgectl itself, on a base of Debian's packages. With MINUTES=30, also so many
+# minutes of the fault matrix over containers, and over services of a swarm, on from the injections in their records.
 containers: setup
 	@.ci/need-docker
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite tests/containers -n 0
+	@[ -z "$(MINUTES)" ] || PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.faults --hosts containers --times 1 --points 2 --jobs $(or $(JOBS),2) --minutes $(MINUTES) --record tests/faults/containers.jsonl
+	@[ -z "$(MINUTES)" ] || PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.faults --swarm --times 1 --points 1 --jobs $(or $(JOBS),2) --minutes $(MINUTES) --record tests/faults/swarm.jsonl
 
 # The page of edgectl serve in a real Chromium, which is installed where it is missing: docs/concepts/serve.md. Screenshots in runs/browser.
 browser: setup

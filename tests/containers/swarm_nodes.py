@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tests.containers.conftest import ContainerHost
 from tests.containers.docker_engine import DockerEngine
-from tests.faults.network import ManagerNetwork, run_ip
+from tests.faults.network import ManagerNetwork, plug_in_card, run_ip
 
 CONTEXT = "managers"
 """The name by which every host reaches the first manager."""
@@ -41,24 +41,7 @@ class SwarmNode:
 
     def plug_in(self) -> None:
         """Give the engine's network a card, at the bridge."""
-        outside, inside = self.site.process.pid, self.holder
-        ends = [
-            "link",
-            "add",
-            "name",
-            self.cable,
-            "type",
-            "veth",
-            "peer",
-            "name",
-            "eth0",
-            "netns",
-            str(inside),
-        ]
-        run_ip(*ends, netns=outside)
-        run_ip("link", "set", self.cable, "master", "br0", "up", netns=outside)
-        for words in ("link set lo up", f"addr add {self.address}/24 dev eth0", "link set eth0 up"):
-            run_ip(*words.split(), netns=inside)
+        plug_in_card(self.cable, site=self.site.process.pid, inside=self.holder, address=self.address)
 
     def drop_packets(self) -> None:
         run_ip("link", "set", self.cable, "nomaster", netns=self.site.process.pid)

@@ -31,7 +31,9 @@ def draw_engine(fleet: FaultFleet) -> ComputerEngine:
 
 def get_container(fleet: FaultFleet, host: str, task: str) -> str:
     """The name of the container of a task."""
-    (name,) = [each for each in fleet.engines[host].list_containers() if each.endswith(f"-{task}")]
+    # In a swarm, that of its service with a number and an id.
+    names = fleet.engines[host].list_containers()
+    (name,) = [each for each in names if each.partition(".")[0].endswith(f"-{task}")]
     return name
 
 
@@ -126,9 +128,12 @@ def kill_shims(fleet: FaultFleet) -> None:
     start_tasks(fleet)
     fleet.pin_task("slam", fleet.first)
     scan.kill_processes(fleet.engines[fleet.first].list_shims())
+    wait_for(
+        lambda: fleet.count_launches("slam") > 1, "a second start of slam: did it run in a container?", 60
+    )
     fleet.check_verdict()
     if fleet.count_launches("slam") != 2:
-        raise ExpectationError("slam was not started again: did it run in a container?")
+        raise ExpectationError(f"slam was started {fleet.count_launches('slam')} times")
 
 
 @fault("engine, supervisors and runners killed at once", kinds=CONTAINERS, full=3)
@@ -166,9 +171,12 @@ def meddle(fleet: FaultFleet) -> None:
 
 @fault("a foreign container has the name of the task's", kinds=CONTAINERS, full=2)
 def occupy_name(fleet: FaultFleet) -> None:
-    """The start is refused, and the other container is neither stopped nor removed."""
+    """The start is refused, and the other container, or service of a swarm, is neither stopped nor removed."""
     start_tasks(fleet)
-    name = get_container(fleet, fleet.first, "slam").replace(fleet.first, fleet.second)
+    name = get_container(fleet, fleet.first, "slam").partition(".")[0].replace(fleet.first, fleet.second)
+    if fleet.swarm:
+        occupy_name_in_swarm(fleet, name)
+        return
     engine = fleet.engines[fleet.second]
     engine.call("run", "--detach", "--network=host", "--name", name, IMAGE, "/opt/busybox", "sleep", "600")
     fleet.pin_task("slam", fleet.second)
@@ -177,3 +185,17 @@ def occupy_name(fleet: FaultFleet) -> None:
     if shown != "true 0":
         raise ExpectationError(f"the foreign container was touched: {shown}")
     engine.call("rm", "--force", name)
+
+
+def occupy_name_in_swarm(fleet: FaultFleet, name: str) -> None:
+    engine = fleet.engines[fleet.first]
+    place = f"--constraint=node.hostname=={fleet.second}"
+    how = ("--detach", "--no-resolve-image", "--name", name, place, IMAGE, "/opt/busybox", "sleep", "600")
+    engine.call("service", "create", *how)
+    version = ("service", "inspect", "--format", "{{.ID}} {{.Version.Index}}", name)
+    before = engine.call(*version)
+    fleet.pin_task("slam", fleet.second)
+    fleet.apply().expect_exit(1, 4).expect_output("not touched")
+    if engine.call(*version) != before:
+        raise ExpectationError(f"the foreign service was touched: {before}, {engine.call(*version)}")
+    engine.call("service", "rm", name)

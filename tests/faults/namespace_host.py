@@ -34,7 +34,7 @@ from tests.faults.hosts import (
     install_programs,
     wait_for,
 )
-from tests.faults.network import ManagerNetwork, run_ip
+from tests.faults.network import ManagerNetwork, plug_in_card, run_ip
 from tests.faults.scan import Bystander, Process
 from tests.pace import patience
 
@@ -230,26 +230,15 @@ class NamespaceHost:
         if self.pid:
             return
         self.pid = self._order("on")
-        run_ip(
-            "link",
-            "add",
-            "name",
+        plug_in_card(
             self.cable,
-            "type",
-            "veth",
-            "peer",
-            "name",
-            "eth0",
-            "netns",
-            str(self.pid),
-            netns=self.site.process.pid,
+            site=self.site.process.pid,
+            inside=self.pid,
+            address=self.address,
+            # A real network card keeps its address over a reboot; a new one would leave a stale neighbour entry
+            # on the manager for seconds.
+            hardware=f"02:e7:00:00:00:{self.number:02x}",
         )
-        run_ip("link", "set", self.cable, "master", "br0", "up", netns=self.site.process.pid)
-        # A real network card keeps its address over a reboot; a new one would leave a stale neighbour entry
-        # on the manager for seconds.
-        card = f"link set eth0 address 02:e7:00:00:00:{self.number:02x}"
-        for words in ("link set lo up", card, f"addr add {self.address}/24 dev eth0", "link set eth0 up"):
-            run_ip(*words.split(), netns=self.pid)
         self._wait_for_sshd()
         if self.engine:
             self.engine.start()

@@ -20,6 +20,18 @@ def run_ip(*words: str, netns: int = 0) -> None:
     assert not done.returncode, f"ip {' '.join(words)}: {done.stderr}"
 
 
+def plug_in_card(cable: str, *, site: int, inside: int, address: str, hardware: str = "") -> None:
+    """Give the network of process ``inside`` a card ``eth0`` with ``address``, whose other end ``cable`` is at the
+    bridge of process ``site``.
+    """
+    ends = f"link add name {cable} type veth peer name eth0 netns {inside}"
+    run_ip(*ends.split(), netns=site)
+    run_ip("link", "set", cable, "master", "br0", "up", netns=site)
+    card = [f"link set eth0 address {hardware}"] if hardware else []
+    for words in ("link set lo up", *card, f"addr add {address}/24 dev eth0", "link set eth0 up"):
+        run_ip(*words.split(), netns=inside)
+
+
 def run_tc(*words: str, netns: int) -> str:
     """Run tc(8) in the network namespace of process ``netns``; return its error message, empty on success."""
     program = shutil.which("tc", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin")

@@ -30,9 +30,17 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--traces", type=int, default=2, help="injections of each fault")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only-traces", action="store_true", help="without the states of the model")
+    parser.add_argument(
+        "--hosts",
+        choices=["loopback", "containers"],
+        default="loopback",
+        help="where the faults are injected",
+    )
     parser.add_argument("--memory", default="6g", help="heap of Java")
     options = parser.parse_args()
-    return check_bounds(options.memory) or check_faults(options.traces, options.seed, options.memory)
+    wrong = 0 if options.only_traces else check_bounds(options.memory)
+    return wrong or check_faults(options.hosts, options.traces, options.seed, options.memory)
 
 
 def check_bounds(memory: str) -> int:
@@ -54,16 +62,16 @@ def check_bounds(memory: str) -> int:
     return int(wrong > 0)
 
 
-def check_faults(times: int, seed: int, memory: str) -> int:
+def check_faults(kind: str, times: int, seed: int, memory: str) -> int:
     """Traces of the faults of two managers on real hosts."""
     print("| fault | traces | grants | starts | stops | accepted |\n|---|--:|--:|--:|--:|--:|")
     wrong = 0
-    for each in list_observable_faults():
+    for each in list_observable_faults(kind):
         seeds = random.Random(f"{seed} {each.name}")
         counts = {"grant": 0, "start": 0, "stop": 0}
         accepted = 0
         for _ in range(times):
-            seen = observe_fault(each, seeds.randrange(10**9), sample=True)
+            seen = observe_fault(each, seeds.randrange(10**9), sample=True, kind=kind)
             for kind in counts:
                 counts[kind] += seen.count(kind)
             with tempfile.TemporaryDirectory(prefix="edgectl-model-") as directory:

@@ -34,17 +34,17 @@ class Observation:
         return sum(event.kind == kind for look in self.looks for event in look)
 
 
-def list_observable_faults() -> list[Fault]:
+def list_observable_faults(kind: str = "loopback") -> list[Fault]:
     """The faults of two managers that share a fleet."""
-    return [each for each in list_faults() if each.name.startswith(NAMES) and "loopback" in each.kinds]
+    return [each for each in list_faults() if each.name.startswith(NAMES) and kind in each.kinds]
 
 
-def observe_fault(each: Fault, seed: int, *, sample: bool) -> Observation:
-    """Inject the fault once into hosts on loopback addresses, and look at them meanwhile."""
+def observe_fault(each: Fault, seed: int, *, sample: bool, kind: str = "loopback") -> Observation:
+    """Inject the fault once into hosts of this kind, and look at them meanwhile."""
     variant = EdgectlVariant(sample=sample)
     with (
         tempfile.TemporaryDirectory(prefix="edgectl-model-") as directory,
-        open_fleet("loopback", Path(directory), draw_names(seed, variant), seed, variant) as fleet,
+        open_fleet(kind, Path(directory), draw_names(seed, variant), seed, variant) as fleet,
         Recorder(homes={name: host.home for name, host in fleet.hosts.items()}, fleet=FLEET) as recorder,
     ):
         each.inject(fleet)
