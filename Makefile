@@ -129,7 +129,7 @@ faults: setup
 	@.ci/need-docker
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.faults --seed $(or $(SEED),1)
 	@$(PY) -m tests.simulation --seed $(or $(SEED),1)
-	@$(PY) -m tests.suite --whole tests/usecases/test_recovery.py tests/usecases/test_take_over.py tests/usecases/test_interrupted_commands.py tests/usecases/test_random_events.py -n 2 --dist load
+	@$(PY) -m tests.suite --whole tests/usecases/test_recovery.py tests/usecases/test_take_over.py tests/usecases/test_doubtful_starts.py tests/usecases/test_interrupted_commands.py tests/usecases/test_random_events.py -n 2 --dist load
 
 # Faults of three managers and an etcd of three members, on from those in the record: MINUTES=10 of the next ones.
 managers: setup

@@ -33,22 +33,28 @@ def check_known_names(names: Iterable[str], among: Iterable[str], what: str, *, 
     """Check that every name exists; ``what`` names their kind. ``every``: list all of them, however many.
 
     Raises:
-        UsageError: a name is unknown; the hint suggests the nearest name, or lists the known ones.
+        UsageError: names are unknown; all are named, and the hint suggests the nearest of each, or lists the
+            known ones.
     """
-    known = list(dict.fromkeys(among))
-    for name in names:
-        if name not in known:
-            match = suggest_name(name, known) or next(
-                (each for each in known if name and each.startswith(name)), ""
-            )
-            hint = (
-                f"did you mean {match}?"
-                if match
-                else f"known: {', '.join(known) if every else format_name_list(known)}"
-                if known
-                else f"there is no {what}"
-            )
-            raise UsageError(f"unknown {what} {name!r}", hint=hint)
+    known = dict.fromkeys(among)
+    unknown = [name for name in dict.fromkeys(names) if name not in known]
+    if not unknown:
+        return
+    nearest = {name: _find_nearest(name, known) for name in unknown}
+    alone = len(unknown) == 1
+    meant = [near if alone else f"{near} for {name}" for name, near in nearest.items() if near]
+    hint = f"did you mean {format_name_list(meant)}?" if meant else ""
+    if len(meant) < len(unknown):
+        listed = ", ".join(known) if every else format_name_list(list(known))
+        hint = f"{hint} {f'known: {listed}' if known else f'there is no {what}'}".strip()
+    kind, space, rest = what.partition(" ")
+    kinds = f"{kind}{'' if alone else 's'}{space}{rest}"
+    raise UsageError(f"unknown {kinds} {format_name_list([repr(name) for name in unknown])}", hint=hint)
+
+
+def _find_nearest(name: str, known: Iterable[str]) -> str:
+    """The most similar known name, or one that begins with it; or an empty string."""
+    return suggest_name(name, known) or next((each for each in known if name and each.startswith(name)), "")
 
 
 _DIGITS = re.compile(r"([0-9]+)")

@@ -183,7 +183,7 @@ EPILOG = (
     "done; 64 usage; "
     "75 locked, stale or busy, try again; 130 interrupted.\n\n"
     "Environment: EDGECTL_INVENTORY, EDGECTL_TASKS, EDGECTL_CONTEXT, EDGECTL_OUTPUT, EDGECTL_STATE_DIR, "
-    "EDGECTL_INSECURE_FILES, EDGECTL_DEBUG, NO_COLOR, FORCE_COLOR."
+    "EDGECTL_INSECURE_FILES, EDGECTL_SSH_CONFIG, EDGECTL_DEBUG, CI, NO_COLOR, FORCE_COLOR."
 )
 _TO_IDENTIFIER = str.maketrans(" -", "__")
 CONTEXT_SETTINGS: dict[str, Any] = {"help_option_names": ["-h", "--help"], "max_content_width": 100}

@@ -44,7 +44,8 @@ def apply_command(
     asked = apply_session.check_can_confirm(asked=plan is None and not change.yes and not change.dry_run)
     fleet = build_fleet(load_inputs(inventory, tasks, quiet=change.quiet), accept_new=accept_new)
     choose = policy_options.build_plan_filter(fleet.tasks, limits, quiet=change.quiet)
-    how = policy_options.policy_from_options(fleet, overrides, attended=policy_options.is_interactive())
+    attended = policy_options.is_interactive()
+    how = policy_options.policy_from_options(fleet, overrides, attended=attended)
     saved = policy_options.load_saved_plan(plan, overrides, limits)
     policy_options.require_solver(how if saved is None else saved.policy)
     if change.dry_run:
@@ -53,7 +54,7 @@ def apply_command(
         quiet=change.quiet, output=output, asked=asked, fleet=fleet.inventory.fleet
     ) as act:
         chosen = act.options_from(change, choose)
-        if change.quiet and not how.attended:
+        if not attended:
             chosen = dataclasses.replace(chosen, recheck_window=RECHECK_WINDOW_S)
         applied = (
             plan_and_apply(fleet, how, act.confirm, chosen)

@@ -18,6 +18,7 @@ def doctor_command(
         Argument(
             metavar="[HOST...]",
             autocompletion=host_names,
+            parser=options.strip_host_kind,
             help="Names in the inventory; default: all.",
             show_default=False,
         ),

@@ -8,6 +8,7 @@ from typer import Exit, Option
 from edgectl.cli import apply_session, console, exit_codes, options
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import ExitCode
+from edgectl.model.plan import Action
 from edgectl.views.output_format import OutputFormat
 
 
@@ -34,6 +35,7 @@ def drain_command(
     from edgectl.cli.connect import build_fleet, parse_duration_option, parse_lock_timeout
     from edgectl.usecases.drain import drain_hosts
     from edgectl.views.other_tasks import list_foreign_notes
+    from edgectl.views.reasons import describe_reason
     from edgectl.views.results import DrainView
 
     first = "check first: edgectl drain --dry-run"
@@ -65,8 +67,10 @@ def drain_command(
         )
     else:
         act.report(drained.applied)
+    kept = {step.task: step for step in drained.applied.plan.steps if step.action is Action.KEEP}
     for task, host in drained.left:
-        console.print_message(f"still on {host}: {task}")
+        why = f" ({describe_reason(kept[task]).removeprefix('keep: ')})" if task in kept else ""
+        console.print_message(f"still on {host}: {task}{why}")
     console.print_notes(list_foreign_notes(drained.applied.plan.snapshot, hosts))
     code = exit_codes.of_applied(drained.applied, allow_unreachable=True)
     raise Exit(code or (ExitCode.DONE if drained.done else ExitCode.PARTLY))

@@ -6,6 +6,7 @@ import os
 import re
 import shlex
 from collections.abc import Sequence
+from typing import Any
 
 from edgectl.cli import console
 from edgectl.errors import EdgectlError, ExitCode, InputError, UsageError
@@ -13,6 +14,9 @@ from edgectl.names import format_alternatives
 
 # Typer's message for an unknown word, with its suggestions.
 _TYPER_SUGGESTION = re.compile(r"(.+?)\.? \(?(?:Did you mean(?: one of:)?|Possible options:) (.+?)[?)]+")
+# And for a word too many.
+_EXTRA_WORDS = re.compile(r"Got unexpected extra arguments?(?:\(s\))? \((.+)\)")
+_UNKNOWN_COMMAND = re.compile(r"No such command '(.+?)'")
 # Options that sort and cut one table.
 _OF_LISTS = ("--sort-by", "--field", "--no-headers", "-l")
 
@@ -49,6 +53,12 @@ def _usage_error_from_typer(error: Exception, words: Sequence[str] = ()) -> Usag
             hint=f"run {command} {format_alternatives(words)}",
         )
     said = " ".join(error.format_message().split()).replace("a valid int range", "a whole number").rstrip(".")
+    unknown = _UNKNOWN_COMMAND.match(said)
+    if command == "edgectl describe" and unknown is not None:
+        kinds = "edge|robot|task"
+        return UsageError(
+            f"{unknown[1]!r} is no kind", hint=f"name it: edgectl describe {kinds} {unknown[1]}"
+        )
     guessed = _TYPER_SUGGESTION.fullmatch(said)
     problem = guessed[1] if guessed else said
     if command == "edgectl status" and problem.removeprefix("No such option: ") in _OF_LISTS:
@@ -59,9 +69,32 @@ def _usage_error_from_typer(error: Exception, words: Sequence[str] = ()) -> Usag
             problem,
             hint=f"did you mean {format_alternatives(guessed[2].replace(chr(39), '').split(', '))}?",
         )
+    extra = _EXTRA_WORDS.fullmatch(said)
+    if extra is not None:
+        return UsageError(f"unexpected argument: {extra[1]}", hint=_suggest_each_name(context))
+    if said.startswith("Missing argument"):
+        return UsageError(said, hint=_suggest_example(context, command))
     if command == "edgectl" and said.startswith("No such option"):
         return UsageError(said, hint=_suggest_option_place(words))
     return UsageError(said, hint=f"see {command} --help")
+
+
+def _suggest_example(context: Any, command: str) -> str:  # noqa: ANN401 - as above
+    """The first example of the help."""
+    lines = str(getattr(getattr(context, "command", None), "epilog", "") or "").splitlines()
+    examples = [line.strip() for line in lines if line.strip().startswith("edgectl ")]
+    return f"for example: {examples[0]}" if examples else f"see {command} --help"
+
+
+def _suggest_each_name(context: Any) -> str:  # noqa: ANN401 - typer's, which has no public class
+    """How a command that takes one name is called with many of them."""
+    command = getattr(context, "command_path", "edgectl")
+    parameters = getattr(getattr(context, "command", None), "params", ())
+    taken = [str(each.metavar) for each in parameters if each.param_type_name == "argument"]
+    if not taken or taken[0] not in ("TASK", "HOST"):
+        return f"see {command} --help"
+    several = f"xargs -I {taken[0]} {command} {' '.join(taken)}"
+    return f"{command} takes one {' and one '.join(taken)}; for several: {several}"
 
 
 def _suggest_option_place(words: Sequence[str]) -> str:

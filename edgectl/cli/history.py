@@ -9,7 +9,19 @@ from typer import Argument, Exit
 from edgectl.cli import console, exit_codes, options
 from edgectl.cli.completion import complete_revisions
 from edgectl.cli.user_files import load_inputs
+from edgectl.errors import UsageError
 from edgectl.views.output_format import OutputFormat
+
+# Before a number, as -o name prints it.
+_REVISION = "revision/"
+
+
+def _parse_revision(text: str) -> int:
+    """A revision by its number, or as -o name prints it."""
+    number = text.removeprefix(_REVISION)
+    if not number.isdecimal() or int(number) == 0:
+        raise UsageError(f"{text!r} is not a revision", hint="list their numbers: edgectl history")
+    return int(number)
 
 
 def history_command(
@@ -25,11 +37,11 @@ def history_command(
         edgectl history -o json
     """
     from edgectl.cli.connect import build_fleet
-    from edgectl.usecases.history import list_revisions
+    from edgectl.usecases.history import list_shared_revisions
     from edgectl.views.history import HistoryView
 
     fleet = build_fleet(load_inputs(inventory, tasks))
-    console.print_view(HistoryView(list_revisions(fleet)), output, fleet=fleet.inventory.fleet)
+    console.print_view(HistoryView(list_shared_revisions(fleet)), output, fleet=fleet.inventory.fleet)
 
 
 def show_command(
@@ -63,10 +75,11 @@ def show_command(
     from edgectl.views.output_format import check_output_format
     from edgectl.views.plan import PlanView
 
-    if what.isdecimal():
+    number = what.removeprefix(_REVISION)
+    if number.isdecimal():
         check_output_format(output, RevisionView.formats)
         fleet = build_fleet(load_inputs(inventory, tasks))
-        found = get_revision(fleet, int(what))
+        found = get_revision(fleet, int(number))
         console.print_view(RevisionView(found), output, fleet=fleet.inventory.fleet)
         return
     saved = load_plan(Path(what))
@@ -81,7 +94,7 @@ def rollback_command(
         Argument(
             metavar="[REV]",
             autocompletion=complete_revisions,
-            min=1,
+            parser=_parse_revision,
             help="Number of a revision; default: the one before the last.",
             show_default=False,
         ),

@@ -102,12 +102,18 @@ def _print_several(names: Sequence[str], read: Callable[[str], Iterator[str]]) -
         try:
             text = "".join(read(name))
         except EdgectlError as error:
-            console.print_message(f"task/{name}: {error.message}")
+            _print_failure(name, error)
             code = ExitCode.PARTLY
             continue
         if not console.print_part(text):
             break
     return code
+
+
+def _print_failure(name: str, error: EdgectlError) -> None:
+    console.print_message(f"task/{name}: {error.message}")
+    if error.hint:
+        console.print_message(f"hint: {error.hint}")
 
 
 def _follow_several(fleet: "Fleet", names: Sequence[str], read: "Callable[..., Iterator[str]]") -> ExitCode:
@@ -122,7 +128,7 @@ def _follow_several(fleet: "Fleet", names: Sequence[str], read: "Callable[..., I
     code = ExitCode.DONE
     for name, text in merge_streams({name: partial(read, fleet, name) for name in names}):
         if isinstance(text, EdgectlError):
-            console.print_message(f"task/{name}: {text.message}")
+            _print_failure(name, text)
             code = ExitCode.PARTLY
         elif not console.print_part(text):
             break

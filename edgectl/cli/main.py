@@ -161,7 +161,9 @@ def expand_shorthand(words: Sequence[str]) -> list[str]:
             return ["top", "hosts", option, *rest]
         case ["describe", word, *rest] if "/" in word:
             kind, _, name = word.partition("/")
-            return ["describe", _DESCRIBED.get(kind, kind), name, *rest]
+            # Of other kinds, which -o name prints too, the command finds what they are.
+            named = [_DESCRIBED[kind], name] if kind in _DESCRIBED else ["edge", word]
+            return ["describe", *named, *rest]
         case ["describe", word, *rest] if word in _DESCRIBED:
             return ["describe", _DESCRIBED[word], *rest]
         case ["simulate", word, *rest] if word not in ("run", "sweep", "merge", "-h", "--help"):

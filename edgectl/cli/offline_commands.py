@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """init, validate, version and completion commands."""
 
+import shlex
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +14,9 @@ from edgectl.cli.project import load_settings
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import FileError
 from edgectl.views.output_format import OutputFormat
+
+# Of one folder; of more only their count.
+_MAX_FILES_LISTED = 3
 
 
 def init_command(
@@ -34,10 +39,23 @@ def init_command(
         written = write_scaffold(directory, render_editor_schemas())
     except OSError as error:
         raise FileError(f"cannot write {error.filename or directory}: {error.strerror}") from error
-    console.print_text("".join(f"{'wrote' if new else 'kept '} {path}\n" for path, new in written.items()))
-    console.print_message(
-        f"next: cd {directory} && edgectl plan" if directory.resolve() != Path.cwd() else "next: edgectl plan"
-    )
+    console.print_text("".join(f"{line}\n" for line in _list_written(written)))
+    enter = "" if directory.resolve() == Path.cwd() else f"cd {shlex.quote(str(directory))} && "
+    console.print_message(f"next: {enter}edgectl plan")
+
+
+def _list_written(written: Mapping[Path, bool]) -> list[str]:
+    """A line per file, and one for the many of a folder, so that the next command stays on the screen."""
+    groups: dict[tuple[Path, bool], list[Path]] = {}
+    for path, new in written.items():
+        groups.setdefault((path.parent, new), []).append(path)
+    return [
+        f"{'wrote' if new else 'kept '} {shown}"
+        for (folder, new), paths in groups.items()
+        for shown in (
+            [f"{folder}/ ({len(paths)} files)"] if len(paths) > _MAX_FILES_LISTED else map(str, paths)
+        )
+    ]
 
 
 def validate_command(

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Commands that mark hosts and tasks: cordon, uncordon, fence, unfence, done, reopen."""
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from typing import Annotated
 
 from typer import Exit, Option
@@ -34,11 +34,9 @@ def cordon_command(
 
     loaded = load_inputs(inventory, tasks)
     fleet = build_fleet(loaded)
-    check_known_names(hosts, loaded.inventory.hosts, "host")
-    if not dry_run:
-        operator_marks.cordon_hosts(fleet, hosts, drain=drain)
+    already = operator_marks.cordon_hosts(fleet, hosts, drain=drain, dry_run=dry_run)
     act = "cordoned" + ("; its tasks leave at the next apply" if drain else "")
-    _report_hosts(hosts, loaded.inventory, act, dry_run=dry_run)
+    _report_hosts(hosts, loaded.inventory, act, already, dry_run=dry_run)
 
 
 def uncordon_command(
@@ -58,10 +56,8 @@ def uncordon_command(
 
     loaded = load_inputs(inventory, tasks)
     fleet = build_fleet(loaded)
-    check_known_names(hosts, loaded.inventory.hosts, "host")
-    if not dry_run:
-        operator_marks.uncordon_hosts(fleet, hosts)
-    _report_hosts(hosts, loaded.inventory, "uncordoned", dry_run=dry_run)
+    already = operator_marks.uncordon_hosts(fleet, hosts, dry_run=dry_run)
+    _report_hosts(hosts, loaded.inventory, "uncordoned", already, dry_run=dry_run)
 
 
 def fence_command(
@@ -85,7 +81,10 @@ def fence_command(
     from edgectl.usecases import operator_marks
 
     fleet = build_fleet(load_inputs(inventory, tasks))
-    check_known_names([host], operator_marks.list_fenceable_hosts(fleet), "host")
+    if operator_marks.is_fenced(fleet, host):
+        if not dry_run:  # once more: it may be missing in etcd
+            operator_marks.fence_hosts(fleet, [host])
+        return _report_hosts([host], fleet.inventory, "fenced", {host}, dry_run=dry_run)
     silence_s = operator_marks.compute_silence_s(fleet, host)
     if silence_s is not None:
         console.print_message(
@@ -120,8 +119,8 @@ def unfence_command(
     from edgectl.usecases import operator_marks
 
     loaded = load_inputs(inventory, tasks)
-    operator_marks.unfence_hosts(build_fleet(loaded), hosts, dry_run=dry_run)
-    _report_hosts(hosts, loaded.inventory, "unfenced", dry_run=dry_run)
+    already = operator_marks.unfence_hosts(build_fleet(loaded), hosts, dry_run=dry_run)
+    _report_hosts(hosts, loaded.inventory, "unfenced", already, dry_run=dry_run)
 
 
 def done_command(
@@ -142,10 +141,8 @@ def done_command(
 
     fleet = build_fleet(load_inputs(inventory, tasks))
     chosen = select_task_names(names or (), selector, fleet.tasks)
-    check_known_names(chosen, fleet.tasks.tasks, "task")
-    if not dry_run:
-        operator_marks.mark_tasks_done(fleet, chosen)
-    _report_tasks(chosen, "marked as done", dry_run=dry_run)
+    already = operator_marks.mark_tasks_done(fleet, chosen, dry_run=dry_run)
+    _report_tasks(chosen, "marked as done", already, dry_run=dry_run)
 
 
 def reopen_command(
@@ -168,17 +165,30 @@ def reopen_command(
     fleet = build_fleet(load_inputs(inventory, tasks))
     chosen = select_task_names(names or (), selector, fleet.tasks)
     check_known_names(chosen, fleet.tasks.tasks, "task")
-    silent = frozenset() if dry_run else operator_marks.reopen_tasks(fleet, chosen)
-    _report_tasks(chosen, "reopened", dry_run=dry_run)
+    silent, already = (frozenset(), frozenset()) if dry_run else operator_marks.reopen_tasks(fleet, chosen)
+    _report_tasks(chosen, "reopened", already, dry_run=dry_run)
     raise Exit(ExitCode.PARTLY if silent else ExitCode.DONE)
 
 
-def _report_hosts(names: Iterable[str], inventory: Inventory, act: str, *, dry_run: bool = False) -> None:
+def _report_hosts(
+    names: Iterable[str],
+    inventory: Inventory,
+    act: str,
+    already: Container[str] = (),
+    *,
+    dry_run: bool = False,
+) -> None:
     for name in dict.fromkeys(names):
         role = inventory.hosts[name].role if name in inventory.hosts else "host"
-        console.print_text(f"{role}/{name} {act}{options.DRY_RUN_SUFFIX if dry_run else ''}\n")
+        _report_mark(f"{role}/{name}", act, again=name in already, dry_run=dry_run)
 
 
-def _report_tasks(names: Iterable[str], act: str, *, dry_run: bool = False) -> None:
+def _report_tasks(names: Iterable[str], act: str, already: Container[str], *, dry_run: bool) -> None:
     for name in dict.fromkeys(names):
-        console.print_text(f"task/{name} {act}{options.DRY_RUN_SUFFIX if dry_run else ''}\n")
+        _report_mark(f"task/{name}", act, again=name in already, dry_run=dry_run)
+
+
+def _report_mark(named: str, act: str, *, again: bool, dry_run: bool) -> None:
+    """As kubectl: a mark that is set already is no error."""
+    suffix = options.DRY_RUN_SUFFIX if dry_run else ""
+    console.print_text(f"{named} {'already ' if again else ''}{act}{suffix}\n")

@@ -80,9 +80,9 @@ def build_output_option(forms: Formats) -> object:
 
 
 def strip_host_kind(word: str) -> str:
-    """The name of a host that may be given as ``-o name`` prints it: ``edge/NAME``, ``robot/NAME``."""
+    """The name of a host that may be given as ``-o name`` prints it: ``edge/NAME``, ``profiler/NAME``."""
     kind, slash, name = word.partition("/")
-    return name if slash and kind in ("edge", "robot", "host") else word
+    return name if slash and kind in ("edge", "robot", "host", "profiler") else word
 
 
 def strip_task_kind(word: str) -> str:

@@ -47,7 +47,8 @@ def move_command(
         duration=None if duration is None else parse_duration_option(duration, "--for"),
         dry_run=dry_run,
     )
-    console.print_text(f"task/{task} {describe_pin(moved.pin)}{options.DRY_RUN_SUFFIX if dry_run else ''}\n")
+    act = f"{'already ' if moved.again else ''}{describe_pin(moved.pin)}"
+    console.print_text(f"task/{task} {act}{options.DRY_RUN_SUFFIX if dry_run else ''}\n")
     console.print_message(f"next apply: {describe_reason(moved.step)}")
     raise Exit(exit_codes.of_plan(moved.plan, detailed=False, allow_unreachable=True))
 
@@ -72,7 +73,7 @@ def unpin_command(
     chosen = select_task_names(names or (), selector, fleet.tasks)
     found = unpin_tasks(fleet, chosen, dry_run=dry_run)
     for name, pinned in found.items():
-        act = "unpinned" if pinned else "was not pinned by edgectl move"
+        act = "unpinned" if pinned else "already unpinned"
         console.print_text(f"task/{name} {act}{options.DRY_RUN_SUFFIX if dry_run else ''}\n")
         task = fleet.tasks.tasks.get(name)
         if task is not None and task.hosts.pin is not None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Diagnosis of a fleet: this machine, hosts that answered, hosts that did not."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from edgectl.doctor.host import diagnose_host
 from edgectl.doctor.manager import diagnose_manager
@@ -68,25 +68,40 @@ def _suggest_fix(host: Host, answer: UnreachableHost) -> str:
     )
 
 
+def _build_machine_finding(first: str, name: str) -> Finding:
+    """Plan and apply refuse the fleet."""
+    return Finding(
+        host=name,
+        check="machine",
+        level=Severity.FAILED,
+        message=f"is one machine with {first}: load and tasks would count twice, so no plan is made",
+        remedy=f"remove {first} or {name} from the inventory, or declare both as slices with "
+        "capacity: {cpu: .., memory: ..}",
+    )
+
+
 def diagnose_fleet(
     inventory: Inventory,
     manager: ManagerFacts,
     answers: FactsByHost,
     shortages: Sequence[Shortage] | None = None,
     snapshot: Snapshot | None = None,
+    shared: Iterable[tuple[str, str]] = (),
 ) -> Diagnosis:
     """Findings about this machine and the fleet as a whole, then host by host in the order of the inventory.
 
     ``answers``: the hosts that were asked. ``shortages``: what the edges lack, None where it is not known.
-    ``snapshot``: a probe of the fleet, where there was one.
+    ``snapshot``: a probe of the fleet, where there was one. ``shared``: two hosts each that are one machine.
     """
     findings = diagnose_manager(inventory, manager)
     findings += [] if shortages is None else diagnose_shortages(shortages)
     facts = {name: answer for name, answer in answers.items() if isinstance(answer, HostFacts)}
     ros = diagnose_ros(inventory, facts)
+    doubled = {name: first for first, name in shared}
     for name, host in inventory.hosts.items():
         answer = answers.get(name)
         if isinstance(answer, HostFacts):
+            findings += [_build_machine_finding(doubled[name], name)] if name in doubled else []
             findings += [*diagnose_host(host, answer, inventory), *ros.get(name, ())]
             findings += diagnose_traffic(name, snapshot)
         elif answer is not None:

@@ -71,6 +71,24 @@ def decode(kind: type[Model], raw: object, faults: Faults) -> Model:
     return value
 
 
+def decode_again(
+    kind: type[Model], raw: Mapping[str, Any], faults: Faults, before: Mapping[str, Any], known: Model
+) -> Model:
+    """As `decode`, of a dataclass that was ``known`` when its object was ``before``: a value that is the very
+    same object in both is not decoded again.
+    """
+    wanted: Any = kind
+    values: dict[str, Any] = {}
+    for member in list_members(wanted):
+        if isinstance(member, Field) and not member.place.inline:
+            found = raw.get(member.key)
+            if found is not None and found is before.get(member.key):
+                values[member.name] = getattr(known, member.name)
+                continue
+        decode_member(member, raw, (), faults, values)
+    return kind(**values) if not faults else known
+
+
 def build_document_schema(name: str, version: int, kind: type) -> Schema:
     """JSON Schema of a document that holds a ``kind`` beside its version."""
     found: Schema = {}
@@ -177,7 +195,7 @@ def _compile_amounts(name: str, hint: Any, place: DocumentKey) -> Amounts:  # no
 
 @cache
 def _compile_class(kind: Any) -> Codec:  # noqa: ANN401
-    members = _list_members(kind)
+    members = list_members(kind)
 
     def encode_object(value: Any) -> Document:  # noqa: ANN401
         document: Document = {}
@@ -203,7 +221,9 @@ def _compile_class(kind: Any) -> Codec:  # noqa: ANN401
     return Codec(encode_object, decode_object, describe)
 
 
-def _list_members(kind: Any) -> list[Field | Group | Amounts]:  # noqa: ANN401
+@cache
+def list_members(kind: Any) -> list[Field | Group | Amounts]:  # noqa: ANN401
+    """The members of the object of a dataclass."""
     hints = get_type_hints(kind, include_extras=True)
     members: dict[str, Field | Amounts | list[Field]] = {}
     for item in fields(kind):
@@ -257,7 +277,7 @@ def _compile_keyed(kind: Any, by: str) -> Codec:  # noqa: ANN401
 
     def describe(found: Schema) -> Schema:
         schema = describe_class(
-            kind, [each for each in _list_members(kind) if isinstance(each, Field) and each.key != by], found
+            kind, [each for each in list_members(kind) if isinstance(each, Field) and each.key != by], found
         )
         names = key.schema(found)
         return {"type": "object", "additionalProperties": schema, "propertyNames": names}
@@ -271,7 +291,7 @@ def _compile_keyed(kind: Any, by: str) -> Codec:  # noqa: ANN401
 
 def _compile_columns(kind: Any) -> Codec:  # noqa: ANN401
     """A tuple of dataclasses as an object of lists that are equally long."""
-    members = [member for member in _list_members(kind) if isinstance(member, Field)]
+    members = [member for member in list_members(kind) if isinstance(member, Field)]
     keys = ", ".join(member.key for member in members)
 
     def decode_columns(raw: Any, path: FieldPath, faults: Faults) -> Any:  # noqa: ANN401

@@ -30,6 +30,7 @@ from edgectl.model.diagnosis import (
     UnreachableHost,
 )
 from edgectl.model.inventory import Host, Inventory, Role
+from edgectl.model.snapshot import MachineIdentity
 from edgectl.model.text import escape_unprintable
 from edgectl.rules.environment import drop_secrets, merge_host_environment
 from edgectl.rules.ros import encode_host_ros
@@ -67,6 +68,7 @@ def decode_host_facts(document: ReplyDocument, context: ReplyContext, asked: Sen
         psutil=reply.psutil,
         # It looked at its clock after we asked, and again before we had the answer.
         skew_s=(ended - context.answered_at, began - asked.began),
+        machine=MachineIdentity(**_to_fields(reply.machine)),
         logind=Logind(**_to_fields(reply.logind)),
         disk=Disk(**_to_fields(reply.disk)),
         total_bytes=reply.memory.total_bytes,

@@ -22,6 +22,7 @@ from edgectl.gateway.probe_reply import (
     list_done_tasks,
 )
 from edgectl.gateway.probe_request import build_probe_request, list_checked_tasks, list_detected_tasks
+from edgectl.gateway.replies import ProbeReply
 from edgectl.model.inventory import Host, Inventory, Role
 from edgectl.model.link_reading import LinkObservation
 from edgectl.model.snapshot import HostSample, HostStatus, Snapshot
@@ -91,9 +92,10 @@ class ProbeOptions:
 class DecodedProbe:
     """The sample of a host, its ends of the links, the tasks whose checks passed there, those that have no
     owner there, the former names that it has adopted, its names in the inventories of other managers, and
-    what it has counted of the latencies of tasks.
+    what it has counted of the latencies of tasks. ``reply``: of what it was made.
     """
 
+    reply: ProbeReply
     sample: HostSample
     links: LinkEnds
     done: frozenset[str]
@@ -136,7 +138,8 @@ def probe_hosts(
     Hosts are in the order of the inventory; robots with ``probe: false`` are neither contacted nor included.
     """
     options = options or ProbeOptions()
-    addresses, edges = resolve_link_addresses(inventory, transport, options.workers)
+    resolve = partial(resolve_link_addresses, inventory, transport, options.workers)
+    addresses, edges = resolve() if options.readings is None else options.readings.keep_addresses(resolve)
     context = _ProbeContext(
         inventory=inventory,
         tasks=tasks,
@@ -230,10 +233,16 @@ def _take_readings(hosts: Sequence[Host], context: _ProbeContext) -> _Answers:
     return answers
 
 
-def _decode_reading(host: Host, context: _ProbeContext, reading: "Reading") -> DecodedProbe:
+def _decode_reading(
+    host: Host,
+    context: _ProbeContext,
+    reading: "Reading",
+    known: tuple[Mapping[str, object], DecodedProbe] | None,
+) -> DecodedProbe:
     came_at = context.clock() - (time.monotonic() - reading.came_at)
     reply = HostReply(host=host, document=reading.document, seconds=0.0)
-    return _decode_reply(reply, dataclasses.replace(context, clock=lambda: came_at))
+    before = None if known is None else (known[0], known[1].reply)
+    return _decode_reply(reply, dataclasses.replace(context, clock=lambda: came_at), before)
 
 
 def _build_request(host: Host, context: _ProbeContext) -> dict[str, object]:
@@ -260,12 +269,15 @@ def _build_single_request(host: Host, context: _ProbeContext) -> dict[str, objec
     return request if context.lease is None else {**request, "lease": context.lease.build_claim(host.name)}
 
 
-def _decode_reply(reply: HostReply, context: _ProbeContext) -> DecodedProbe:
+def _decode_reply(
+    reply: HostReply, context: _ProbeContext, known: tuple[Mapping[str, object], ProbeReply] | None = None
+) -> DecodedProbe:
     host, document = reply.host, reply.document
     if context.lease is not None:
         context.lease.take_reply(host.name, document.get("lease"))
-    probe = decode_probe(document, host)
+    probe = decode_probe(document, host, known)
     return DecodedProbe(
+        reply=probe,
         sample=build_host_sample(probe, document, _build_reply_context(host, context)),
         links=LinkEnds(links=probe.links, peers=probe.peers),
         done=list_done_tasks(probe) & list_checked_tasks(context.tasks, host, elsewhere=True),

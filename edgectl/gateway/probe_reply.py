@@ -86,14 +86,16 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
     return build_host_sample(decode_probe(document, context.host), document, context)
 
 
-def decode_probe(document: ReplyDocument, host: Host) -> ProbeReply:
-    """The reply of ``host`` to a probe.
+def decode_probe(
+    document: ReplyDocument, host: Host, known: tuple[ReplyDocument, ProbeReply] | None = None
+) -> ProbeReply:
+    """The reply of ``host`` to a probe; ``known``: the one before, of which it repeats parts.
 
     Raises:
         ReplyError: as `decode_host_sample`.
     """
     _check_origin(document, host)
-    return decode_reply(ProbeReply, document)
+    return decode_reply(ProbeReply, document, known=known)
 
 
 def build_host_sample(reply: ProbeReply, document: ReplyDocument, context: ReplyContext) -> HostSample:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Probes from readings that hosts send by themselves: which of them count, and what was decoded of them."""
 
+import time
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Generic, TypeVar
 
 from edgectl.agent.link import protocol
@@ -10,6 +11,9 @@ from edgectl.transport.readings import Reading, ReadingFeeds
 
 Value = TypeVar("Value")
 Request = dict[str, object]
+# By name: those of robots, and those of edges.
+Addresses = tuple[dict[str, str], dict[str, str]]
+Known = tuple[Mapping[str, object], Value] | None
 # A host is asked anew after so long, and up to half as much later: not all hosts in one cycle (s). A request
 # is a contact, by which a host knows that its manager is there; what a host sends is none.
 _ASK_EACH_S = 30.0
@@ -28,7 +32,16 @@ class FleetReadings(Generic[Value]):
         self._asked: dict[str, Request] = {}
         self._decoded: dict[str, tuple[dict[str, object], Value]] = {}
         self._inputs: tuple[object, ...] = ()
+        self._addresses: Addresses | None = None
+        self._resolved_at = 0.0
         self._requests: dict[str, Request] = {}
+
+    def keep_addresses(self, resolve: Callable[[], Addresses]) -> Addresses:
+        """What ``resolve`` finds, for as long as no host is asked anew: it takes a thread for each name."""
+        now = time.monotonic()
+        if self._addresses is None or now >= self._resolved_at + _ASK_EACH_S:
+            self._addresses, self._resolved_at = resolve(), now
+        return self._addresses
 
     def use_inputs(self, inputs: tuple[object, ...]) -> None:
         """Forget what was made from other ``inputs``: requests, and what was decoded."""
@@ -68,13 +81,13 @@ class FleetReadings(Generic[Value]):
         self._feeds.drop(host)
         self._decoded.pop(host, None)
 
-    def decode(self, host: str, reading: Reading, decode: Callable[[Reading], Value]) -> Value:
-        """The value of a reading, decoded once.
+    def decode(self, host: str, reading: Reading, decode: Callable[[Reading, Known[Value]], Value]) -> Value:
+        """The value of a reading, decoded once; ``decode`` gets the document and the value before, too.
 
         Raises:
             HostError: it is no reply to a probe.
         """
         known = self._decoded.get(host)
         if known is None or known[0] is not reading.document:
-            known = self._decoded[host] = reading.document, decode(reading)
+            known = self._decoded[host] = reading.document, decode(reading, known)
         return known[1]

@@ -12,7 +12,7 @@ from typing import Annotated, Any, TypeVar
 
 from edgectl.dataclass import dataclass
 from edgectl.errors import ReplyError
-from edgectl.formats.codec import decode
+from edgectl.formats.codec import decode, decode_again
 from edgectl.formats.document import Faults
 from edgectl.model.encoding import Bounds, Converted, EachAlone, in_document
 from edgectl.model.profiler import ProfilerState
@@ -51,14 +51,24 @@ Count = Annotated[int, Bounds(maximum=_MAX_COUNT)]
 ExitStatus = Annotated[int, Bounds(minimum=-_MAX_INT32, maximum=_MAX_INT32)]
 
 
-def decode_reply(kind: type[Reply], document: object, where: str = "") -> Reply:
+def decode_reply(
+    kind: type[Reply],
+    document: object,
+    where: str = "",
+    known: tuple[ReplyDocument, Reply] | None = None,
+) -> Reply:
     """The reply of type ``kind``; ``where`` it stands in a larger one, for the message.
+
+    ``known``: the document and the reply of the same kind of which this one repeats parts.
 
     Raises:
         ReplyError: a value is missing, of the wrong type or out of range.
     """
     faults: Faults = []
-    reply = decode(kind, document, faults)
+    if known is not None and isinstance(document, dict):
+        reply = decode_again(kind, document, faults, *known)
+    else:
+        reply = decode(kind, document, faults)
     if faults:
         message = f"{where}.{faults[0]}" if where else str(faults[0])
         raise ReplyError(escape_unprintable(message[:_MAX_MESSAGE]))
@@ -249,6 +259,15 @@ class MemoryReply:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class MachineReply:
+    """What tells machines apart, as ``model.snapshot.MachineIdentity``."""
+
+    boot_id: Text = ""
+    machine_id: Text = ""
+    pid_namespace: Text = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LogindReply:
     """Settings of systemd-logind, as ``model.diagnosis.Logind``."""
 
@@ -334,6 +353,7 @@ class DoctorReply:
     disk: DiskReply
     python: Text = ""
     psutil: bool = False
+    machine: MachineReply = MachineReply()
     logind: LogindReply = LogindReply()
     surroundings: ShellReply = ShellReply()
     ros: RosReply = RosReply()

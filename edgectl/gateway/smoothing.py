@@ -105,7 +105,8 @@ def _smooth_link(
 ) -> LinkSample:
     was, ours, averaged = (sum((task.links or {}).get(robot, 0.0) for task in each) for each in tasks)
     others = _compute_mean(before.used_bytes_per_s - was, now.used_bytes_per_s - ours, weight)
-    return dataclasses.replace(now, used_bytes_per_s=max(0.0, others + averaged))
+    used = max(0.0, others + averaged)
+    return now if used == now.used_bytes_per_s else dataclasses.replace(now, used_bytes_per_s=used)
 
 
 def _select_alive(tasks: Mapping[str, TaskSample]) -> list[TaskSample]:

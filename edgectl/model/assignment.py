@@ -102,6 +102,10 @@ class Overuse:
         used, declared = unit.format_in_text(self.used), unit.format_in_text(self.declared)
         return f"uses {used} of {self.resource}, declares {declared}; edgectl profile {self.entry} --write"
 
+    def describe_run(self) -> str:
+        """The same of the task on its host."""
+        return f"{self.task} on {self.host} {self.describe()}"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shortage:

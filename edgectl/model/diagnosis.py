@@ -10,7 +10,7 @@ from enum import StrEnum
 
 from edgectl.agent.link import protocol
 from edgectl.dataclass import dataclass
-from edgectl.model.snapshot import CapacitySource
+from edgectl.model.snapshot import CapacitySource, MachineIdentity
 
 
 class Severity(StrEnum):
@@ -161,6 +161,7 @@ class HostFacts:
     disk: Disk
     total_bytes: float
     used_bytes: float
+    machine: MachineIdentity = MachineIdentity()
     surroundings: ShellEnvironment = ShellEnvironment()
     ros: RosFacts = RosFacts()
     hardware: HardwareFacts = HardwareFacts()

@@ -216,6 +216,17 @@ class DeviceSample:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class MachineIdentity:
+    """What tells machines apart: the ids of the boot and of the installation, and the PID namespace of the
+    login. Each is empty where it is not known.
+    """
+
+    boot_id: str = ""
+    machine_id: str = ""
+    pid_namespace: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class UsageTotals:
     """Counters of a host since its boot (ADR 0132): CPU seconds, bytes in and out over its interfaces.
 

@@ -36,6 +36,7 @@ FRESH_S = BUDGET_S / MAX_SAMPLES
 # A robot that has answered an edge once, and then left so many probes over so long a time unanswered, is cut
 # off (ADR 0097).
 _SILENT_PROBES, _SILENT_S = 3, 5.0
+_NOTHING_READ, _NOTHING_SEEN = LinkHistory(), LinkObservation()
 LIVE_SOURCES = frozenset({CapacitySource.TCP, CapacitySource.PROBE, CapacitySource.RADIO})
 
 
@@ -81,6 +82,8 @@ def _confirm_fall(known: LinkHistory, rate: float) -> LinkHistory:
 
 def _note_answer(known: LinkHistory, seen: LinkObservation, now: float) -> LinkHistory:
     if seen.answered:
+        if known.answered and not (known.silent or known.silent_since or known.cut_off):
+            return known
         return replace(known, answered=True, silent=0, silent_since=0.0, cut_off=False)
     if not known.answered:
         return known
@@ -139,6 +142,8 @@ def _add_reading(
 
 
 def _refute_readings(known: LinkHistory, rate: float, now: float) -> LinkHistory:
+    if not known.readings:
+        return known
     recent = _select_recent(known, now)
     refuted = bool(recent) and rate >= _REFUTED_SHARE * _average(recent)
     return replace(known, readings=() if refuted else recent)
@@ -162,8 +167,8 @@ def apply_live_capacities(
         links = {
             robot: compute_live_link(
                 link,
-                histories.get((edge, robot), LinkHistory()),
-                observations.get((edge, robot), LinkObservation()).radio_bytes_per_s,
+                histories.get((edge, robot), _NOTHING_READ),
+                observations.get((edge, robot), _NOTHING_SEEN).radio_bytes_per_s,
                 now,
             )
             for robot, link in sample.links.items()

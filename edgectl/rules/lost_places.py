@@ -3,13 +3,13 @@
 (ADR 0040). What runs there cannot be seen, so it counts as running.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 from edgectl.dataclass import dataclass
 from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState, Placement
-from edgectl.model.snapshot import HostSample, Snapshot
+from edgectl.model.snapshot import HostSample, MachineIdentity, Snapshot
 from edgectl.names import natural_key
 
 
@@ -114,28 +114,41 @@ def list_fence_marks(host: str, inventory: Inventory, manager: ManagerState) -> 
 
 
 def find_shared_machine(inventory: Inventory, snapshot: Snapshot) -> tuple[str, str] | None:
-    """Two hosts that answered from one machine, and are not both slices of it; None: there are none.
+    """Two hosts that answered from one machine, and are not both slices of it; None: there are none."""
+    identities = {
+        name: MachineIdentity(
+            boot_id=sample.device.boot_id,
+            machine_id=sample.machine.partition("/")[0],
+            pid_namespace=sample.device.pid_namespace,
+        )
+        for name, sample in snapshot.hosts.items()
+    }
+    return next(list_shared_machines(inventory, identities), None)
+
+
+def list_shared_machines(
+    inventory: Inventory, identities: Mapping[str, MachineIdentity]
+) -> Iterator[tuple[str, str]]:
+    """Each host whose machine an earlier one of ``identities`` is, too, after that one; but for slices.
 
     The same machine has the same boot and the same machine id: images that were copied share only the second,
     containers only the first. Where one of two has no machine id, they are one if they see the same processes
     (ADR 168).
     """
-    found: dict[str, list[tuple[str, HostSample]]] = {}
-    for name, sample in snapshot.hosts.items():
+    found: dict[str, list[tuple[str, MachineIdentity]]] = {}
+    for name, identity in identities.items():
         host = inventory.hosts.get(name)
-        if host is None or host.shares_machine or not sample.device.boot_id:
+        if host is None or host.shares_machine or not identity.boot_id:
             continue
-        booted = found.setdefault(sample.device.boot_id, [])
-        for other, seen in booted:
-            if _is_same_machine(seen, sample):
-                return other, name
-        booted.append((name, sample))
-    return None
+        booted = found.setdefault(identity.boot_id, [])
+        first = next((other for other, seen in booted if _is_same_machine(seen, identity)), None)
+        if first is not None:
+            yield first, name
+        booted.append((name, identity))
 
 
-def _is_same_machine(one: HostSample, other: HostSample) -> bool:
+def _is_same_machine(one: MachineIdentity, other: MachineIdentity) -> bool:
     """Whether two hosts with the same boot are one machine."""
-    ids = [each.machine.partition("/")[0] for each in (one, other)]
-    if not all(ids):
-        ids = [each.device.pid_namespace for each in (one, other)]
-    return ids[0] == ids[1] != ""
+    if one.machine_id and other.machine_id:
+        return one.machine_id == other.machine_id
+    return one.pid_namespace == other.pid_namespace != ""

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
 
+from edgectl.model.resource import HOST_RESOURCES
 from edgectl.scheduler.packing import Packing
 from edgectl.scheduler.utility import EPSILON
 from edgectl.scheduler.utility_sum import (
@@ -45,7 +46,11 @@ def rebalance_packing(packing: Packing, objective: Objective, margin: float) -> 
 
     Each running item that leaves its home must gain more than ``margin`` to the sum.
     """
-    names = [name for name in packing.at if packing.items[name].movable]
+    ordered = sorted(packing.at, key=lambda name: _get_sort_key(packing, name))
+    ranks = {name: rank for rank, name in enumerate(ordered)}
+    for there in packing.on:
+        there.sort(key=ranks.__getitem__)
+    names = [name for name in ordered if packing.items[name].movable]
     if len(names) * len(packing.free) > MAX_PAIRS:
         names = names[: max(1, MAX_PAIRS // len(packing.free))]
     total = build_utility_sum(packing, objective, margin, names)
@@ -59,14 +64,24 @@ def rebalance_packing(packing: Packing, objective: Objective, margin: float) -> 
         if total.value > best + EPSILON:
             best, at, vain = total.value, dict(packing.at), 0
         else:
-            _restore(total, at, best)
+            _restore(search, at, best)
             vain += 1
-    _restore(total, at, best)
+    _restore(search, at, best)
 
 
-def _restore(total: UtilitySum, at: Goals, value: float) -> None:
-    move_items(total, {name: place for name, place in at.items() if total.packing.at[name] != place})
-    total.value = value
+def _get_sort_key(packing: Packing, name: str) -> tuple[object, ...]:
+    """Large items first; names are irrelevant as far as the items or their places differ."""
+    item, place = packing.items[name], packing.at[name]
+    shares, free = item.shares[place], packing.free[place]
+    host = [-shares.get(column, 0.0) for column in range(len(HOST_RESOURCES))]
+    links = sorted((-share, free[column]) for column, share in shares.items() if column >= len(host))
+    return -item.priority, host, links, free[: len(host)], name
+
+
+def _restore(search: _Search, at: Goals, value: float) -> None:
+    there = search.sum.packing.at
+    move_items(search.sum, {name: at[name] for name in search.names if there[name] != at[name]})
+    search.sum.value = value
 
 
 def _climb(search: _Search) -> None:

@@ -67,7 +67,7 @@ class Journal:
         if log.broken:
             warn(f"{path} is damaged at line {log.broken}; set aside as {set_aside(path).name}")
             log = JournalSummary()
-        elif log.size > _ROTATE_BYTES and log.sound:
+        elif log.size > _ROTATE_BYTES and log.sound and not log.doubtful:
             path.rename(path.with_name(f"journal-{log.revision}.jsonl"))
             log = JournalSummary()
         journal = cls(

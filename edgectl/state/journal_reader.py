@@ -26,6 +26,8 @@ class JournalSummary:
     ``generations``: the highest generation that a start of
     each task may have used: that of its intent, and one more for a restored instance. ``located``: host and
     generation of each task that was or may have been started since the manager's state was last saved.
+    ``doubtful``: the same of each task that was or may have been started beside an old instance of which
+    nobody knows whether it still runs.
     ``size``: bytes of valid lines. ``torn``: bytes of an unfinished last line. ``broken``: number of the
     first damaged line, 0 if none.
     """
@@ -35,11 +37,13 @@ class JournalSummary:
     known: dict[str, None] = field(default_factory=dict)
     generations: dict[str, int] = field(default_factory=dict)
     located: dict[str, tuple[str, int]] = field(default_factory=dict)
+    doubtful: dict[str, tuple[str, int]] = field(default_factory=dict)
     last: str = GENESIS_HASH
     size: int = 0
     torn: int = 0
     broken: int = 0
     _intended: dict[str, int] = field(default_factory=dict)
+    _leaving: dict[str, str] = field(default_factory=dict)
     _unfinished: dict[str, None] = field(default_factory=dict)
     _held: dict[str, None] = field(default_factory=dict)
     _spooled: dict[str, dict[str, None]] = field(default_factory=dict)
@@ -83,17 +87,18 @@ class JournalSummary:
         elif event in ("continued", "handover"):
             self._take_earlier(entry)
         elif event in ("intent", "copy"):
-            self._take_intent(event, task, entry.get("generation"))
+            self._take_intent(event, task, entry)
         elif event == "phase":
             self._take_phase(task, entry)
         elif event == "commit":
-            self._take_commit(task, entry.get("located"))
+            self._take_commit(task, entry)
         elif event in ("released", "dropped"):
             (self._held if event == "released" else self._spooled).pop(task, None)
         if event in ("end", "recovered"):
             self._unfinished.clear()
         if event in ("placed", "recovered"):
             self.located.clear()
+            self.doubtful = _read_starts(entry.get("doubtful"))
 
     def _take_earlier(self, entry: JournalEntry) -> None:
         """The plans of earlier files or other machines, put last. With a ``handover`` also what another
@@ -111,28 +116,66 @@ class JournalSummary:
                 for task, hosts in (spooled.items() if isinstance(spooled, dict) else ())
             }
 
-    def _take_intent(self, event: object, task: str, generation: object) -> None:
+    def _take_intent(self, event: object, task: str, entry: JournalEntry) -> None:
         """An action, or an inactive copy: nothing is unfinished where that is interrupted."""
         if event == "intent":
             self._unfinished[task] = None
+            self._leaving.pop(task, None)
+            if entry.get("action") == "move":
+                self._leaving[task] = str(entry.get("previous_host"))
+        generation = entry.get("generation")
         if isinstance(generation, int):
             self._intended[task] = generation
             self.generations[task] = max(self.generations.get(task, 0), generation + 1)
 
     def _take_phase(self, task: str, entry: JournalEntry) -> None:
-        phase = entry.get("phase")
+        phase, host = entry.get("phase"), str(entry.get("host"))
         if phase == "hold":
             self._held[task] = None
         elif phase in ("save", "transfer"):
-            self._spooled.setdefault(task, {})[str(entry.get("host"))] = None
+            self._spooled.setdefault(task, {})[host] = None
+        elif phase == "stop" and task not in self.doubtful and self._leaving.get(task) == host:
+            del self._leaving[task]  # what starts later in this action starts after the proof of this stop
         elif phase in ("start", "activate", "restore"):
-            self.located[task] = (str(entry.get("host")), self._intended.get(task, 0) + (phase == "restore"))
+            start = (host, self._intended.get(task, 0) + (phase == "restore"))
+            beside = task in self._leaving and phase != "restore"
+            (self.doubtful if beside else self.located)[task] = start
+            if not beside:
+                self.doubtful.pop(task, None)
 
-    def _take_commit(self, task: str, located: object) -> None:
+    def _take_commit(self, task: str, entry: JournalEntry) -> None:
+        located = entry.get("located")
         self._unfinished.pop(task, None)
+        doubted = self.doubtful.get(task)
+        if doubted is not None and (located == doubted[0] or _is_withdrawn(entry, doubted[0])):
+            del self.doubtful[task]
+            if located == doubted[0]:
+                self.located[task] = doubted
+            return
         started = self.located.pop(task, None)
         if started is not None and isinstance(located, str):
             self.located[task] = (located, started[1])
+
+
+def _is_withdrawn(entry: JournalEntry, host: str) -> bool:
+    """Whether what an action started on ``host`` is proven not to run: stopped since, or never activated."""
+    found, withdrawn = entry.get("phases"), True
+    for each in found if isinstance(found, list) else []:
+        if isinstance(each, dict) and each.get("host") == host:
+            if each.get("phase") == "start":
+                withdrawn = False
+            elif each.get("phase") == "stop" and each.get("ok") is True:
+                withdrawn = True
+    return withdrawn
+
+
+def _read_starts(value: object) -> dict[str, tuple[str, int]]:
+    found = value.items() if isinstance(value, dict) else ()
+    return {
+        str(task): (str(start[0]), start[1])
+        for task, start in found
+        if isinstance(start, list) and len(start) == 2 and isinstance(start[1], int)
+    }
 
 
 def _read_names(value: object) -> tuple[str, ...]:

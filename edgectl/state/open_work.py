@@ -2,10 +2,11 @@
 """Open work of a manager's journal, for whoever changes the fleet next, on any machine (ADR 176)."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import field, replace
+from dataclasses import asdict, field, replace
 from pathlib import Path
 
 from edgectl.dataclass import dataclass
+from edgectl.model.encoding import in_document
 from edgectl.state.journal import JOURNAL_FILE_NAME, Journal
 from edgectl.state.journal_reader import JournalEntry, read_journal_cached
 from edgectl.state.json_files import Warn, ignore_warning
@@ -16,12 +17,26 @@ _LEAVING_PHASES = ("hold", "save", "transfer")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SharedRevision:
+    """A revision without its actions, in the words of `edgectl.model.revision.Revision`."""
+
+    number: int = field(metadata=in_document(required=True))
+    began_at: float = 0.0
+    user: str = ""
+    verb: str = ""
+    ending: str = ""
+    seconds: float | None = None
+    counts: Mapping[str, int] = field(default_factory=dict)
+    placements: Mapping[str, str] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class OpenWork:
     """The part of a journal that another machine has to know.
 
     ``revision``: number of the newest apply. ``applied``: ids of the newest plans, in order. ``unfinished``:
     tasks that a run has begun to change, or may have. ``held``: tasks whose robot is on hold. ``spooled``: by
-    task, the hosts that may keep its state for a move.
+    task, the hosts that may keep its state for a move. ``revisions``: the newest ones, without their actions.
     """
 
     revision: int = 0
@@ -29,6 +44,7 @@ class OpenWork:
     unfinished: tuple[str, ...] = ()
     held: tuple[str, ...] = ()
     spooled: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    revisions: tuple[SharedRevision, ...] = ()
 
 
 def has_to_be_shared(entry: JournalEntry) -> bool:
@@ -50,7 +66,7 @@ def add_announcement(work: OpenWork, revision: int, plan_id: str, tasks: Iterabl
 
 
 def collect_open_work(fleet_dir: Path) -> OpenWork:
-    """What the journal of this machine leaves."""
+    """What the journal of this machine leaves; without revisions."""
     log = read_journal_cached(fleet_dir / JOURNAL_FILE_NAME)
     return OpenWork(
         revision=log.revision,
@@ -73,6 +89,7 @@ def take_over_work(
         StateError: the journal cannot be read or written.
     """
     own = collect_open_work(fleet_dir)
+    unknown = _select_unknown(fleet_dir, left.revisions)
     kept = {task: hosts for task, hosts in own.spooled.items() if task not in known.spooled}
     merged = replace(
         left,
@@ -80,6 +97,7 @@ def take_over_work(
         unfinished=_add_own(left.unfinished, own.unfinished, known.unfinished),
         held=_add_own(left.held, own.held, known.held),
         spooled={**left.spooled, **kept},
+        revisions=unknown,
     )
     if merged == own:
         return
@@ -91,7 +109,18 @@ def take_over_work(
             unfinished=list(merged.unfinished),
             held=list(merged.held),
             spooled={task: list(hosts) for task, hosts in merged.spooled.items()},
+            revisions=[asdict(each) for each in unknown],
         )
+
+
+def _select_unknown(fleet_dir: Path, shared: tuple[SharedRevision, ...]) -> tuple[SharedRevision, ...]:
+    if not shared:
+        return ()
+    # Not before: most commands never come here.
+    from edgectl.state.revisions import load_revisions
+
+    numbers = {each.number for each in load_revisions(fleet_dir)}
+    return tuple(each for each in shared if each.number not in numbers)
 
 
 def _add_own(left: tuple[str, ...], own: tuple[str, ...], known: tuple[str, ...]) -> tuple[str, ...]:

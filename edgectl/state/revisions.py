@@ -4,8 +4,8 @@
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -17,11 +17,14 @@ from edgectl.model.revision import Revision, RevisionOutcome
 from edgectl.state.journal import JOURNAL_FILE_NAME
 from edgectl.state.journal_reader import JournalEntry, read_journal
 from edgectl.state.json_files import Warn, ignore_warning
+from edgectl.state.open_work import SharedRevision
 from edgectl.units import parse_instant
 
 Word = TypeVar("Word", bound=StrEnum)
 _ROTATED_NAME = re.compile(r"journal-([0-9]+)\.jsonl")
 _CARRIED_SECONDS = ("save_s", "transfer_s", "load_s", "age_s")
+# What other machines are told: so many of the newest revisions, with so many places in all.
+_MAX_SHARED, _MAX_SHARED_PLACES = 16, 4096
 _CUT_OFF_ERROR = "interrupted before it ended"
 
 
@@ -36,12 +39,48 @@ def load_revisions(fleet_dir: Path, warn: Warn = ignore_warning) -> tuple[Revisi
         for path in fleet_dir.glob("journal-*.jsonl")
         if (found := _ROTATED_NAME.fullmatch(path.name))
     )
-    opened: list[_OpenRevision] = []
-    for path in (*(path for _, path in put_away), fleet_dir / JOURNAL_FILE_NAME):
-        log = read_journal(path, partial(_add_entry, opened))
+    return _read_revisions((*(path for _, path in put_away), fleet_dir / JOURNAL_FILE_NAME), warn)
+
+
+def collect_shared_revisions(
+    fleet_dir: Path, known: Iterable[SharedRevision], machine: str
+) -> tuple[SharedRevision, ...]:
+    """The newest revisions as another machine has to know them to go back to one: those of the present
+    journal, by a user of this ``machine``, and those that are ``known`` to be shared.
+    """
+    own = _read_revisions((fleet_dir / JOURNAL_FILE_NAME,), ignore_warning)
+    found = {each.number: each for each in (*known, *(_build_shared_revision(each, machine) for each in own))}
+    newest, room = list[SharedRevision](), _MAX_SHARED_PLACES
+    for number in sorted(found, reverse=True)[:_MAX_SHARED]:
+        each = found[number]
+        room -= len(each.placements or ())
+        newest.append(each if room >= 0 else replace(each, placements=None))
+    return tuple(reversed(newest))
+
+
+def _build_shared_revision(each: Revision, machine: str) -> SharedRevision:
+    return SharedRevision(
+        number=each.number,
+        began_at=each.began_at,
+        user=each.user if "@" in each.user else f"{each.user}@{machine}",
+        verb=each.verb,
+        ending=each.ending.value,
+        seconds=each.seconds,
+        counts=each.counts,
+        placements=each.placements,
+    )
+
+
+def _read_revisions(paths: Iterable[Path], warn: Warn) -> tuple[Revision, ...]:
+    """Those of this machine, and those that it knows from others only, where their numbers belong."""
+    opened, others = list[_OpenRevision](), dict[int, Revision]()
+    for path in paths:
+        log = read_journal(path, partial(_add_entry, opened, others))
         if log.broken:
             warn(f"{path} is damaged at line {log.broken}; the revisions around it may be incomplete")
-    return tuple(map(_build_revision, opened))
+    own = list(map(_build_revision, opened))
+    foreign = [others[number] for number in others.keys() - {each.number for each in own}]
+    return tuple(sorted((*own, *foreign), key=lambda each: each.number)) if foreign else tuple(own)
 
 
 @dataclass(slots=True)
@@ -55,8 +94,14 @@ class _OpenRevision:
     placements: dict[str, str] | None = None
 
 
-def _add_entry(found: list[_OpenRevision], entry: JournalEntry) -> None:
+def _add_entry(found: list[_OpenRevision], others: dict[int, Revision], entry: JournalEntry) -> None:
     event = entry.get("event")
+    if event == "handover":
+        shared = entry.get("revisions")
+        for each in map(_object_or_empty, shared if isinstance(shared, list) else []):
+            if number := _positive_int_or_zero(each.get("number")):
+                others[number] = _decode_shared_revision(number, each)
+        return
     if event == "begin" and _positive_int_or_zero(entry.get("revision")):
         found.append(_OpenRevision(entry))
     elif found:
@@ -96,6 +141,22 @@ def _build_revision(found: _OpenRevision) -> Revision:
         counts=counts or Counter(action.action.value for action in actions),
         actions=actions,
         placements=found.placements,
+    )
+
+
+def _decode_shared_revision(number: int, entry: JournalEntry) -> Revision:
+    placements, counts = entry.get("placements"), _object_or_empty(entry.get("counts"))
+    return Revision(
+        number=number,
+        began_at=_finite_or_none(entry.get("began_at")) or 0.0,
+        user=_text_or_empty(entry.get("user")),
+        verb=_text_or_empty(entry.get("verb")),
+        ending=_decode_enum(RevisionOutcome, entry.get("ending"), RevisionOutcome.CUT_OFF),
+        seconds=_finite_or_none(entry.get("seconds")),
+        counts={name: _positive_int_or_zero(count) for name, count in counts.items()},
+        placements={name: str(host) for name, host in placements.items()}
+        if isinstance(placements, dict)
+        else None,
     )
 
 

@@ -113,6 +113,10 @@ class OpenExchange(Exchange, Protocol):
         """
         ...
 
+    def can_write(self) -> bool:
+        """Whether a few bytes can be written without a wait."""
+        ...
+
     def expect_reply(self, *, timeout: float, limit: int) -> AbstractContextManager[None]:
         """Let the command send a reply of ``limit`` bytes; cut a connection that stalls for ``timeout``
         seconds and more.

@@ -30,6 +30,7 @@ from edgectl.transport.agent_client import (
     split_frame,
 )
 from edgectl.transport.base import ConversableSession, Exchange, OpenExchange, Reply, Session
+from edgectl.transport.pulses import keep_pulsing
 from edgectl.transport.readings import ReadingFeed, ReadingFeeds
 
 # Seconds. Requests farther apart are cheaper as calls: to keep an agent costs a pulse each 0.6 s.
@@ -79,7 +80,7 @@ class _Question:
 
 
 class Conversation:
-    """One agent that stays: a thread begins it, listens to it and sends the pulses.
+    """One agent that stays: a thread begins it and listens to it; that of all sends the pulses.
 
     Once ``is_over`` it carries nothing any more; ``is_useless``: another one on this connection would not
     either.
@@ -95,6 +96,7 @@ class Conversation:
         self._refused = 0
         self._used_at = time.monotonic()
         self._lock, self._writing = threading.Lock(), threading.Lock()
+        self._pulsing: threading.Thread | None = None
         self._thread = threading.Thread(target=self._run, name="edgectl-converse", daemon=True)
         self._thread.start()
 
@@ -180,7 +182,9 @@ class Conversation:
         # Whatever goes wrong costs no request: each may have a call of its own.
         with contextlib.suppress(Exception), contextlib.closing(self._begin(marker)) as exchange:
             try:
-                self._listen(exchange, self._await_first_word(exchange, marker))
+                rest = self._await_first_word(exchange, marker)
+                with keep_pulsing(partial(self._pulse, exchange)):
+                    self._listen(exchange, rest)
             finally:
                 self.end()
         self.end()
@@ -221,22 +225,38 @@ class Conversation:
         return rest
 
     def _listen(self, exchange: OpenExchange, data: bytes) -> None:
-        """Hand out what the agent says, and send pulses, until either side ends."""
-        reader, pulse_at = frames.FrameReader(frames.HOST_WORDS), 0.0
+        """Hand out what the agent says, until either side ends or nobody has asked for long."""
+        reader, silent = frames.FrameReader(frames.HOST_WORDS), False
         while not self.is_over:
             for word, number, body in reader.feed(data):
                 self._hear(exchange, word, number, body)
-            now, data = time.monotonic(), b""
-            if now >= pulse_at:
-                if self._is_idle():
-                    return
-                self._say(exchange, frames.build_frame(frames.PULSE), frames.SILENCE_S)
-                # All hosts at once: a pulse among others takes a tenth of the CPU of one alone.
-                pulse_at = (now // frames.PULSE_S + 1) * frames.PULSE_S
-            with contextlib.suppress(DeadlineError):
-                data = exchange.read(timeout=max(0.0, pulse_at - now))
-                if not data:
-                    return
+            if silent and self._is_idle():
+                return
+            try:
+                data, silent = exchange.read(timeout=KEEP_S / 2), False
+            except DeadlineError:
+                data, silent = b"", True
+            if not data and not silent:
+                return
+
+    def _pulse(self, exchange: OpenExchange) -> None:
+        """Send a pulse; where that may have to wait, from another thread, so that no other host waits.
+
+        What is being written now is a pulse, too.
+        """
+        waits = self._pulsing is not None and self._pulsing.is_alive()
+        if waits or self.is_over or self._writing.locked():
+            return
+        if exchange.can_write():
+            self._say_pulse(exchange)
+            return
+        self._pulsing = threading.Thread(target=self._say_pulse, args=(exchange,), daemon=True)
+        self._pulsing.start()
+
+    def _say_pulse(self, exchange: OpenExchange) -> None:
+        # Whatever goes wrong has ended the conversation.
+        with contextlib.suppress(Exception):
+            self._say(exchange, frames.build_frame(frames.PULSE), frames.SILENCE_S)
 
     def _is_idle(self) -> bool:
         """Whether nobody has asked for long; then nobody can any more."""

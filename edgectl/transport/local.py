@@ -173,6 +173,11 @@ class LocalExchange:
                     raise DeadlineError(f"no answer within {timeout:.3g} s", host=self._name)
                 data = data[os.write(pipe.fileno(), data[:_BLOCK_BYTES]) :]
 
+    def can_write(self) -> bool:
+        """As ``OpenExchange.can_write``."""
+        pipe = self._process.stdin
+        return pipe is None or pipe.closed or bool(select.select([], [pipe], [], 0)[1])
+
     def expect_reply(self, *, timeout: float, limit: int) -> AbstractContextManager[None]:
         """As ``OpenExchange.expect_reply``: a pipe has no limit, and its writer a deadline."""
         del timeout, limit

@@ -5,6 +5,7 @@ import contextlib
 import ipaddress
 import os
 import queue
+import select
 import signal
 import socket
 import subprocess
@@ -81,8 +82,11 @@ class TunedSocket(socket.socket):
     """A socket without the two 40 ms stalls of an SSH login (Nagle, delayed acknowledgement).
 
     Beyond its ``allowance`` it reads as closed, as it does where a packet announces more than
-    ``MAX_PACKET_BYTES``.
+    ``MAX_PACKET_BYTES``. One thread receives.
     """
+
+    # What the kernel had beyond what was asked for: paramiko asks twice per packet.
+    _ahead, _taken = b"", 0
 
     @cached_property
     def allowance(self) -> Allowance:
@@ -90,13 +94,19 @@ class TunedSocket(socket.socket):
         return Allowance()
 
     def recv(self, size: int, flags: int = 0, /) -> bytes:
-        """Receive, and acknowledge at once; the kernel resets that option, so it is set each time."""
+        """Receive, and acknowledge at once."""
         if size > MAX_PACKET_BYTES:
             return b""
-        data = super().recv(min(size, _CHUNK_BYTES), flags)
+        if self._taken == len(self._ahead):
+            self._ahead, self._taken = self._fetch(flags), 0
+        data = self._ahead[self._taken : self._taken + size]
+        self._taken += len(data)
         self.allowance.charge(len(data))
-        if self.allowance.is_spent():
-            return b""
+        return b"" if self.allowance.is_spent() else data
+
+    def _fetch(self, flags: int) -> bytes:
+        """What the kernel has; it resets the option to acknowledge at once, so it is set each time."""
+        data = super().recv(_CHUNK_BYTES, flags)
         if _QUICKACK is not None and data:
             with contextlib.suppress(OSError):
                 self.setsockopt(socket.IPPROTO_TCP, _QUICKACK, 1)
@@ -233,6 +243,15 @@ def start_proxy_command(command: str) -> ProxySocket:
     finally:
         theirs.close()
     return line
+
+
+def can_write_to(fd: int) -> bool:
+    """Whether a few bytes can be written to a socket without a wait; also where it is closed (-1)."""
+    if fd < 0:
+        return True
+    poll = select.poll()
+    poll.register(fd, select.POLLOUT)
+    return bool(poll.poll(0))
 
 
 def hang_up(line: object) -> None:

@@ -5,6 +5,7 @@ Fabric's ``Connection.run`` is not used: it polls, it decodes, and it does not e
 """
 
 import contextlib
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,13 +15,15 @@ import paramiko
 
 from edgectl.errors import ConnectError, DeadlineError, HostError, ReplyError
 from edgectl.transport.base import Reply
-from edgectl.transport.sockets import MAX_LOGIN_BYTES, Line, hang_up, watchdog
+from edgectl.transport.sockets import MAX_LOGIN_BYTES, Line, can_write_to, hang_up, watchdog
 from edgectl.transport.ssh_errors import translate_ssh_error
 
 # A connection that does not even let a channel be closed is cut this long after the deadline, seconds.
 GRACE_S = 0.5
 CHANNEL_PAUSES_S = (0.02, 0.05, 0.1, 0.3, 1.0)
 _CHUNK_BYTES = 65536
+# More than a pulse has.
+_FEW_BYTES = 64
 # Of a log, between two reads: the window of a channel and as much again, bytes.
 MAX_STREAM_BYTES = 1 << 22
 
@@ -141,6 +144,10 @@ class SshSession:
             ours = translate_ssh_error(error, self.name)
             raise ours from (None if ours is error else error)
 
+    def can_send(self) -> bool:
+        """Whether the line takes a few bytes without a wait; behind a jump host nobody knows."""
+        return isinstance(self._line, socket.socket) and can_write_to(self._line.fileno())
+
     def cut(self) -> None:
         """End the connection at once, from any thread."""
         hang_up(self._line)
@@ -220,6 +227,15 @@ class SshExchange:
         with self._session.translate_errors(timeout):
             self._channel.settimeout(timeout)
             _feed_input(self._channel, data, last=False)
+
+    def can_write(self) -> bool:
+        """As ``OpenExchange.can_write``."""
+        channel, session = self._channel, self._session
+        return (
+            channel.out_window_size >= _FEW_BYTES
+            and session.transport.clear_to_send.is_set()
+            and session.can_send()
+        )
 
     @contextlib.contextmanager
     def expect_reply(self, *, timeout: float, limit: int) -> Iterator[None]:

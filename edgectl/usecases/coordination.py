@@ -183,7 +183,13 @@ def share_state(
         return
     copy = load_local_copy(fleet.state, fleet.warn)
     starts = copy.starts if starts is None else starts
-    journal = collect_open_work(fleet.state) if journal is None else journal
+    past = copy.journal.revisions
+    if journal is None:  # nothing is under way
+        journal = collect_open_work(fleet.state)
+        from edgectl.state.revisions import collect_shared_revisions
+
+        past = collect_shared_revisions(fleet.state, past, describe_manager().rpartition("@")[2])
+    journal = dataclasses.replace(journal, revisions=past)
     state = collect_shared_state(fleet.state, starts, journal, fleet.warn)
     digest = compute_state_digest(state)
     if digest != copy.digest:

@@ -26,6 +26,7 @@ from edgectl.model.inventory import Connection, Coordination, Host, Inventory
 from edgectl.model.snapshot import Snapshot
 from edgectl.names import check_known_names
 from edgectl.plugins import PluginGroup, load_plugins
+from edgectl.rules.lost_places import list_shared_machines
 from edgectl.rules.ros import list_ros_packages
 from edgectl.state.manager_state import load_link_capacities
 from edgectl.transport.connections import BackoffTransport, SessionPool
@@ -56,8 +57,15 @@ def run_doctor(fleet: Fleet, state: Disk, names: Sequence[str] = (), *, timeout:
         whole = not names and bool(fleet.tasks.tasks) and not state.obstacle
         snapshot = _probe_edges(near, answers, timeout) if whole else None
     shortages = None if snapshot is None else find_fleet_shortages(fleet, snapshot)
-    found = diagnose_fleet(fleet.inventory, manager, answers, shortages, snapshot)
+    shared = _list_shared_machines(fleet.inventory, answers)
+    found = diagnose_fleet(fleet.inventory, manager, answers, shortages, snapshot, shared)
     return Diagnosis(findings=(*found.findings, *_run_plugin_checks(fleet.inventory, answers, snapshot)))
+
+
+def _list_shared_machines(inventory: Inventory, answers: FactsByHost) -> list[tuple[str, str]]:
+    found = ((name, answers.get(name)) for name in inventory.hosts)
+    identities = {name: facts.machine for name, facts in found if isinstance(facts, HostFacts)}
+    return list(list_shared_machines(inventory, identities))
 
 
 def _run_plugin_checks(

@@ -15,7 +15,10 @@ from edgectl.model.revision import Revision
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task, Tasks
 from edgectl.scheduler.assign import assign
+from edgectl.state.journal import JOURNAL_FILE_NAME
+from edgectl.state.journal_reader import read_journal_cached
 from edgectl.state.revisions import load_revisions
+from edgectl.usecases.coordination import refresh_state
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.plan_execution import (
     ApplyOptions,
@@ -29,8 +32,15 @@ from edgectl.usecases.probe import probe_fleet
 
 
 def list_revisions(fleet: Fleet) -> tuple[Revision, ...]:
-    """Every revision of the fleet, oldest first."""
+    """Every revision that this machine knows, oldest first."""
     return load_revisions(fleet.state, fleet.warn)
+
+
+def list_shared_revisions(fleet: Fleet) -> tuple[Revision, ...]:
+    """The same, once those that other machines have saved in etcd are known here."""
+    if fleet.lease is None:
+        refresh_state(fleet)
+    return list_revisions(fleet)
 
 
 def find_last_carries(fleet: Fleet) -> dict[str, ActionResult]:
@@ -49,7 +59,7 @@ def get_revision(fleet: Fleet, number: int) -> Revision:
     Raises:
         UsageError: there is no such revision.
     """
-    known = list_revisions(fleet)
+    known = list_shared_revisions(fleet)
     found = next((each for each in reversed(known) if each.number == number), None)
     if found is None:
         hint = (
@@ -108,19 +118,29 @@ def roll_back_fleet(
 
 
 def _get_rollback_target(fleet: Fleet, number: int | None) -> Revision:
+    known = list_shared_revisions(fleet)
     if number is not None:
         return get_revision(fleet, number)
-    known = list_revisions(fleet)
-    if len(known) < 2:
+    # Another machine may have made the last one, and told no more than its number: it died in it.
+    numbered = read_journal_cached(fleet.state / JOURNAL_FILE_NAME).revision
+    last = max([numbered, *(each.number for each in known[-1:])])
+    earlier = [each for each in known if each.number < last]
+    if not earlier:
         raise UsageError("there is no revision before the last one", hint="list revisions: edgectl history")
-    return known[-2]
+    if fleet.inventory.coordination is not None and earlier[-1].number < last - 1:
+        raise UsageError(
+            f"revision {last - 1}, the one before the last, was made on another machine and is not known "
+            "here: it was interrupted, or made by an older edgectl",
+            hint="choose another one: edgectl history; edgectl rollback REV",
+        )
+    return earlier[-1]
 
 
 def _get_placements(target: Revision) -> Mapping[str, str]:
     if target.placements is None:
         raise UsageError(
-            f"the placement after revision {target.number} was not recorded: it was interrupted, or made by "
-            "an older edgectl",
+            f"the placement after revision {target.number} is not known here: it was interrupted, made by an "
+            "older edgectl, or on another machine long ago",
             hint="choose another one: edgectl history; edgectl rollback REV",
         )
     return target.placements

@@ -67,11 +67,15 @@ _OBSTACLES = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MovedTask:
-    """A pin that was set, and what the next apply does with the task. ``plan``: of the whole fleet."""
+    """A pin that was set, and what the next apply does with the task. ``plan``: of the whole fleet.
+
+    ``again``: the task had the same pin before.
+    """
 
     pin: Pin
     step: Step
     plan: Plan
+    again: bool = False
 
 
 def pin_task(
@@ -117,7 +121,9 @@ def pin_task(
             stored = load_manager_state(fleet.state, fleet.warn)
             kept = {task: each for task, each in stored.pins.items() if task not in unit}
             save_manager_state(fleet.state, dataclasses.replace(stored, pins=kept | {name: pin}))
-    return MovedTask(pin=pin, step=step, plan=plan)
+    before = manager.pins.get(name)
+    again = before is not None and (before.host, before.until, pin.until) == (host, None, None)
+    return MovedTask(pin=pin, step=step, plan=plan, again=again)
 
 
 def unpin_tasks(fleet: Fleet, names: Sequence[str], *, dry_run: bool = False) -> dict[str, bool]:

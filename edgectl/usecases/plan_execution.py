@@ -18,14 +18,12 @@ from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan
 from edgectl.model.progress import ProgressListener, ignore_progress
 from edgectl.model.result import Outcome, Results
-from edgectl.model.snapshot import Snapshot
 from edgectl.rules.ros_nodes import list_lost_nodes
 from edgectl.state.heartbeats import record_orphans
 from edgectl.state.journal import JOURNAL_FILE_NAME, Journal
 from edgectl.state.journal_reader import JournalSummary, read_journal_cached
 from edgectl.state.lock import FleetLock, describe_manager, get_user_name
 from edgectl.state.manager_state import load_manager_state, save_manager_state, select_saved_fields
-from edgectl.state.shared_state import PendingStart
 from edgectl.transport.connections import SessionPool
 from edgectl.transport.fleet_lease import Term, WatchNote
 from edgectl.transport.silence import SilenceTransport, SilentHosts
@@ -35,6 +33,14 @@ from edgectl.usecases.coordination import (
     build_journal_listener,
     load_pending_starts,
     share_results,
+)
+from edgectl.usecases.doubtful_starts import (
+    Starts,
+    encode_journaled_doubts,
+    list_open_starts,
+    load_doubtful_starts,
+    load_journaled_doubts,
+    restore_known_places,
 )
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.fleet_lease import compute_files_digest, hold_fleet
@@ -130,8 +136,10 @@ def confirm_and_execute(
     cut_off, silent = _warn_of_unfinished_apply(fleet), SilentHosts()
     if not plan.changes:
         manager = forget_lost_nodes(fleet, plan, manager, _NO_RESULTS)
-        _save_manager_state(fleet, plan, manager, _NO_RESULTS, {})
-        _recover_interrupted_apply(fleet, cut_off, silent)
+        after = _save_manager_state(fleet, plan, manager, _NO_RESULTS, {})
+        open_starts = list_open_starts(fleet, plan.snapshot, after, {})
+        _share_results(fleet, manager, open_starts)
+        _recover_interrupted_apply(fleet, cut_off, silent, open_starts)
         return ApplyResult(plan=plan)
     if isinstance(fleet.transport, SessionPool):
         fleet.transport.expect_requests(_list_changed_hosts(fleet, plan))
@@ -167,13 +175,15 @@ def confirm_and_execute(
                 silent=silent,
             )
         after = _save_manager_state(fleet, plan, manager, results, used)
-        _record_placements(fleet, journal, results.revision, after)
+        open_starts = list_open_starts(fleet, plan.snapshot, after, used)
+        _record_placements(fleet, journal, results.revision, after, open_starts)
     left = forget_lost_nodes(fleet, plan, manager, results)
     if left != manager:
         _save_manager_state(fleet, plan, left, results, used)
+    _share_results(fleet, left, open_starts)
     _forget_adopted_orphans(fleet, manager, results)
     record_results(fleet, plan, results)
-    _recover_interrupted_apply(fleet, cut_off, silent)
+    _recover_interrupted_apply(fleet, cut_off, silent, open_starts)
     if fleet.lease is not None and fleet.lease.watched_by is not None and verb != "watch":
         fleet.warn(_describe_watch(fleet, fleet.lease.watched_by))
     return ApplyResult(plan=plan, results=results, doubled=_look_for_doubled(fleet, plan, silent))
@@ -253,23 +263,25 @@ def has_nothing_to_do(fleet: Fleet, plan: Plan) -> bool:
     """
     if plan.changes:
         return False
-    after = update_manager_state(
-        plan.snapshot.manager or ManagerState(), plan, fleet.tasks, _NO_RESULTS, {}, fleet.clock()
-    )
+    manager = plan.snapshot.manager or ManagerState()
+    after = _compute_state_to_save(fleet, plan, manager, _NO_RESULTS, {})
     return (
         select_saved_fields(after) == load_manager_state(fleet.state)
-        and _list_open_starts(fleet, plan.snapshot, after) == load_pending_starts(fleet)
+        and list_open_starts(fleet, plan.snapshot, after, {}) == load_doubtful_starts(fleet)
         and (_get_term(fleet) is None or find_news_of_demands(fleet, after.measured) is None)
         and not any(list_lost_nodes(plan.snapshot, fleet.inventory, ()))
         and read_journal_cached(fleet.state / JOURNAL_FILE_NAME).sound
     )
 
 
-def _record_placements(fleet: Fleet, journal: Journal, revision: int, after: ManagerState) -> None:
+def _record_placements(
+    fleet: Fleet, journal: Journal, revision: int, after: ManagerState, open_starts: Starts
+) -> None:
     """The present placement of every task, to which a rollback returns."""
     placements = {task: placement.host for task, placement in after.placements.items()}
+    doubtful = encode_journaled_doubts(fleet, open_starts)
     try:
-        journal.append("placed", revision=revision, placements=placements)
+        journal.append("placed", revision=revision, placements=placements, doubtful=doubtful)
     except StateError as error:
         fleet.warn(f"{error.message}: revision {revision} cannot be restored")
 
@@ -288,11 +300,14 @@ def _warn_of_unfinished_apply(fleet: Fleet) -> JournalSummary:
     return log
 
 
-def _recover_interrupted_apply(fleet: Fleet, log: JournalSummary, silent: SilentHosts) -> None:
+def _recover_interrupted_apply(
+    fleet: Fleet, log: JournalSummary, silent: SilentHosts, open_starts: Starts
+) -> None:
     """Release held robots once a ready instance controls them, remove the state that moves have left on
-    hosts, close the record of the interrupted apply.
+    hosts, close the record of the interrupted apply, but for the starts that stay open.
     """
-    if not log.unfinished and not log.held and not log.spooled:
+    settled = load_journaled_doubts(fleet).keys() <= open_starts.keys()
+    if not log.unfinished and not log.held and not log.spooled and settled:
         return
     from edgectl.executor.hold_release import release_hold
     from edgectl.executor.state_removal import drop_left_state
@@ -322,7 +337,8 @@ def _recover_interrupted_apply(fleet: Fleet, log: JournalSummary, silent: Silent
                 dropped = drop_left_state(task, hosts, fleet.inventory, transport, fleet.lease)
             if dropped:
                 journal.append("dropped", task=task)
-        journal.append("recovered", tasks=list(log.unfinished))
+        doubtful = encode_journaled_doubts(fleet, open_starts)
+        journal.append("recovered", tasks=list(log.unfinished), doubtful=doubtful)
     share_results(fleet, term)
 
 
@@ -334,25 +350,21 @@ def _save_manager_state(
     fleet: Fleet, plan: Plan, manager: ManagerState, results: Results, used: dict[str, int]
 ) -> ManagerState:
     """Save the manager's state. A full disk costs history, not the apply."""
-    after = update_manager_state(manager, plan, fleet.tasks, results, used, fleet.clock())
+    after = _compute_state_to_save(fleet, plan, manager, results, used)
     if select_saved_fields(after) != load_manager_state(fleet.state):
         save_manager_state(fleet.state, after)
-    term = _get_term(fleet)
-    if term is not None:
-        share_results(
-            fleet,
-            term,
-            _list_open_starts(fleet, plan.snapshot, after),
-            find_news_of_demands(fleet, manager.measured),
-        )
     return after
 
 
-def _list_open_starts(fleet: Fleet, snapshot: Snapshot, after: ManagerState) -> dict[str, PendingStart]:
-    """The announced starts whose host has not answered since, and which no later one has replaced."""
-    return {
-        task: start
-        for task, start in load_pending_starts(fleet).items()
-        if start.host not in snapshot.hosts or not snapshot.hosts[start.host].ok
-        if task not in after.placements or after.placements[task].generation < start.generation
-    }
+def _share_results(fleet: Fleet, manager: ManagerState, open_starts: Starts) -> None:
+    """Save in etcd what the files of this machine have now, where there is one."""
+    term = _get_term(fleet)
+    if term is not None:
+        share_results(fleet, term, open_starts, find_news_of_demands(fleet, manager.measured))
+
+
+def _compute_state_to_save(
+    fleet: Fleet, plan: Plan, manager: ManagerState, results: Results, used: Mapping[str, int]
+) -> ManagerState:
+    after = update_manager_state(manager, plan, fleet.tasks, results, used, fleet.clock())
+    return restore_known_places(fleet, plan.snapshot, after)

@@ -18,7 +18,8 @@ from edgectl.state.manager_state import (
     load_manager_state,
     save_link_capacities,
 )
-from edgectl.usecases.coordination import find_holder_id, load_pending_starts, refresh_state
+from edgectl.usecases.coordination import find_holder_id, refresh_state
+from edgectl.usecases.doubtful_starts import load_doubtful_starts, not_heard
 from edgectl.usecases.fleet import Fleet, show_nothing
 from edgectl.usecases.fleet_lease import probe_within_lease
 from edgectl.usecases.heartbeat import load_state_with_heartbeats, track_heartbeats
@@ -119,17 +120,18 @@ def _add_journaled_starts(fleet: Fleet, manager: ManagerState, snapshot: Snapsho
     now or show that very start.
 
     An edgectl that was killed before it saved its state may have started them, here or on another machine;
-    without them such a task would be started a second time elsewhere. What etcd records was announced before
-    the old instance was touched: while both hosts are silent, the task counts as where it was.
+    without them such a task would be started a second time elsewhere. Of some nobody knows whether the old
+    instance was stopped before (`load_doubtful_starts`): while both hosts are silent, the task counts as
+    where it was.
     """
-    pending = load_pending_starts(fleet)
+    doubtful = load_doubtful_starts(fleet)
     unsure = {
         task
-        for task, start in pending.items()
-        if _is_silent(snapshot, start.host) and _may_be_where_it_was(manager, snapshot, task)
+        for task, start in doubtful.items()
+        if not_heard(snapshot, start.host) and _may_be_where_it_was(manager, snapshot, task)
     }
-    begun = {task: (start.host, start.generation) for task, start in pending.items() if task not in unsure}
-    manager = _add_contacts(manager, {task: pending[task].host for task in unsure})
+    begun = {task: (start.host, start.generation) for task, start in doubtful.items() if task not in unsure}
+    manager = _add_contacts(manager, {task: doubtful[task].host for task in unsure})
     for task, (host, generation) in read_journal_cached(fleet.state / JOURNAL_FILE_NAME).located.items():
         if task not in begun or begun[task][1] < generation:
             begun[task] = (host, generation)
@@ -142,16 +144,10 @@ def _add_journaled_starts(fleet: Fleet, manager: ManagerState, snapshot: Snapsho
     return dataclasses.replace(manager, placements={**manager.placements, **started}) if started else manager
 
 
-def _is_silent(snapshot: Snapshot, host: str) -> bool:
-    return host not in snapshot.hosts or not snapshot.hosts[host].ok
-
-
 def _may_be_where_it_was(manager: ManagerState, snapshot: Snapshot, task: str) -> bool:
     placement = manager.placements.get(task)
     return (
-        placement is not None
-        and _is_silent(snapshot, placement.host)
-        and placement.host not in manager.fenced
+        placement is not None and not_heard(snapshot, placement.host) and placement.host not in manager.fenced
     )
 
 

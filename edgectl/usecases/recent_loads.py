@@ -9,7 +9,7 @@ from edgectl.dataclass import dataclass
 from edgectl.gateway.smoothing import smooth_snapshot
 from edgectl.model.event import EventKind
 from edgectl.model.point import HostPoint, LinkPoint, TaskPoint
-from edgectl.model.resource import NETWORK
+from edgectl.model.resource import NETWORK, RESOURCES, Usage
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample
 from edgectl.usecases.fleet import Fleet
 
@@ -36,6 +36,8 @@ class _History:
 def smooth_from_history(fleet: Fleet, snapshot: Snapshot, until: float) -> Snapshot:
     """``snapshot`` averaged into the samples that were taken before ``until`` (s since 1970), each by its
     age, with the same function as in a watch.
+
+    What a task cannot go without, such as memory, stays as in ``snapshot`` (ADR 180).
     """
     since = snapshot.taken_at - WINDOW_S
 
@@ -52,7 +54,24 @@ def smooth_from_history(fleet: Fleet, snapshot: Snapshot, until: float) -> Snaps
     smoothed: Snapshot | None = None
     for at in sorted({point.at for point in known.hosts if point.at < until}):
         smoothed = smooth_snapshot(smoothed, _restore_snapshot(fleet, known, snapshot, at), period=PERIOD_S)
-    return smooth_snapshot(smoothed, snapshot, period=PERIOD_S)
+    smoothed = smooth_snapshot(smoothed, snapshot, period=PERIOD_S)
+    hosts = {name: _restore_urgent(host, snapshot.hosts[name]) for name, host in smoothed.hosts.items()}
+    return replace(smoothed, hosts=hosts)
+
+
+def _restore_urgent(smoothed: HostSample, now: HostSample) -> HostSample:
+    """``smoothed`` with the readings of ``now`` of all resources that are not compressible."""
+    urgent = [resource.name for resource in RESOURCES if not resource.compressible]
+    runs = {
+        name: replace(run, used=Usage(run.used, **{each: now.instances[name].used[each] for each in urgent}))
+        for name, run in smoothed.instances.items()
+    }
+    return replace(
+        smoothed,
+        usage={**smoothed.usage} | {name: now.usage[name] for name in urgent if name in now.usage},
+        tasks={name: runs[name] for name in smoothed.tasks},
+        standbys={name: runs[name] for name in smoothed.standbys},
+    )
 
 
 def _restore_snapshot(fleet: Fleet, known: _History, now: Snapshot, at: float) -> Snapshot:

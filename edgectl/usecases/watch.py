@@ -20,7 +20,6 @@ from edgectl.gateway.smoothing import smooth_snapshot
 from edgectl.model.cycle import Cycle
 from edgectl.model.plan import Action, Plan
 from edgectl.model.policy import Policy
-from edgectl.model.resource import Resource
 from edgectl.model.result import Outcome, Results
 from edgectl.model.snapshot import Snapshot
 from edgectl.state.lock import FleetLock
@@ -42,6 +41,7 @@ from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.fleet_lease import compute_files_digest, hold_fleet, release_fleet
 from edgectl.usecases.given_up import take_given_up_reminders
 from edgectl.usecases.heartbeat import load_state_with_heartbeats, send_heartbeats
+from edgectl.usecases.load_warnings import LoadWarnings
 from edgectl.usecases.plan import limit_plan_to_tasks, make_plan
 from edgectl.usecases.plan_execution import (
     ApplyOptions,
@@ -133,7 +133,7 @@ class _WatchLoop:
         self._smooth: Snapshot | None = None
         self._planned: PlanSignature = ()
         self._stages: dict[str, FailoverStage] = {}
-        self._short: tuple[Resource, ...] = ()
+        self._load_warnings = LoadWarnings()
         self._answering: tuple[str, ...] = ()
         self._take_over = options.take_over
         self._last_hold: Fleet | None = None
@@ -236,6 +236,8 @@ class _WatchLoop:
             draft.put(error=f"{what} (a bug in edgectl; EDGECTL_DEBUG=1 shows where)")
         events = list_events_after(self._fleet, self._heard)
         self._heard = max((event.id for event in events), default=self._heard)
+        if draft.cycle.plan is not None:
+            self._said += self._load_warnings.list_new(draft.cycle.plan, events)
         return dataclasses.replace(
             draft.cycle, events=events, warnings=tuple(dict.fromkeys(self._said)), resting=self._at_rest()
         )
@@ -331,14 +333,8 @@ class _WatchLoop:
         if signature != self._planned:
             self._planned = signature
             record_plan(self._fleet, plan)
-        self._warn_of_shortages(plan)
         alone = add_dependent_starts(plan.steps, self._fleet.tasks, self._at_rest())
         return limit_plan_to_tasks(plan, {step.task for step in plan.steps} - alone) if alone else plan
-
-    def _warn_of_shortages(self, plan: Plan) -> None:
-        """Once for each resource that becomes short; the amount differs from reading to reading."""
-        self._said += [found.describe() for found in plan.shortages if found.resource not in self._short]
-        self._short = tuple(found.resource for found in plan.shortages)
 
     def _at_rest(self) -> tuple[str, ...]:
         now = self._now()

@@ -46,9 +46,15 @@ _OTHER_TASK = (
     "fleet", "host", "task", "state", "started_by", "age_s", "instance", "spec_hash", "generation",
 )  # fmt: skip
 
+_HOST_DETAILS = (*_HOST, "port", "user", "runtime", "proxy_jump", "env", "events", "contacted_at")
+_TASK_DETAILS = (
+    "task", "taken_at", "spec", "runs", "standbys", "placement", "pin", "downtimes_s", "decision", "events",
+)  # fmt: skip
+
 # Kind -> keys of each item of a list.
 LIST_KEYS: KeysByName = {
     "change": ("type", "at", "object"),
+    "details": ("kind", *dict.fromkeys((*_HOST_DETAILS, *_TASK_DETAILS))),
     "difference": ("task", "action", "reason", "previous_host", "host", "lines"),
     "graph-task": ("task", "host", "action", "total", "needs"),
     "context": ("context", "chosen", "inventories", "task_files", "origin"),
@@ -83,7 +89,6 @@ LIST_KEYS: KeysByName = {
 }  # fmt: skip
 
 # Kind -> keys of a single item.
-_HOST_DETAILS = (*_HOST, "port", "user", "runtime", "proxy_jump", "env", "events", "contacted_at")
 ITEM_KEYS: KeysByName = {
     "cycle": (
         "cycle", "at", "duration_s", "next_in_s", "paused", "hosts", "placements", "pending", "actions",
@@ -103,10 +108,7 @@ ITEM_KEYS: KeysByName = {
     "revision": (*_REVISION, "actions", "placements"),
     "robot": _HOST_DETAILS,
     "simulation": ("scenario", "reference", "assumptions", "notes", "answer", "comparisons", "schemes"),
-    "task": (
-        "task", "taken_at", "spec", "runs", "standbys", "placement", "pin", "downtimes_s", "decision",
-        "events",
-    ),
+    "task": _TASK_DETAILS,
     "validation": ("edge_names", "robot_names", "task_names", "inventory_digest", "tasks_digest"),
     "version": ("edgectl", "python"),
 }  # fmt: skip

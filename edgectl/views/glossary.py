@@ -42,7 +42,7 @@ class KeyEntry:
 
 _UNITS = {
     "_bytes_per_s": "bytes/s", "_per_s": "1/s", "_dbm": "dBm",
-    "_bytes": "bytes", "_cores": "cores", "_ms": "ms", "_s": "s", "_c": "°C",
+    "_bytes": "bytes", "_cores": "cores", "_ms": "ms", "_s": "s", "_c": "°C", "_w": "W",
 }  # fmt: skip
 
 

@@ -4,7 +4,7 @@
 import dataclasses
 from collections.abc import Collection
 
-from edgectl.model.assignment import ExpectedLoad, Overuse
+from edgectl.model.assignment import ExpectedLoad
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan
 from edgectl.model.resource import HOST_RESOURCES, RESOURCES_BY_NAME
@@ -200,7 +200,7 @@ def list_load_notes(value: Plan) -> list[str]:
     """Tasks that use more than they declare, what the fleet lacks, and how far noisy hosts are overloaded."""
     return [
         *(found.describe() for found in value.shortages),
-        *map(describe_overuse, value.overuses),
+        *(found.describe_run() for found in value.overuses),
         *list_slack_notes(value, {step.task for step in value.steps}),
     ]
 
@@ -216,11 +216,6 @@ def list_slack_notes(value: Plan, tasks: Collection[str]) -> list[str]:
         for name, noise in known.get(host, {}).items()
         if name in RESOURCES_BY_NAME
     ]
-
-
-def describe_overuse(found: Overuse) -> str:
-    """One line with task and host, both figures, and the remedy."""
-    return f"{found.task} on {found.host} {found.describe()}"
 
 
 def list_left_alone_notes(value: Plan) -> list[str]:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from edgectl.model.progress import ProgressEvent, ProgressListener, ProgressStage
 from edgectl.model.snapshot import HostSample
 from edgectl.units import format_duration
-from edgectl.views.text import detect_render_options, escape_unprintable
+from edgectl.views.text import detect_render_options, escape_unprintable, wrap_text
 
 ProbeListener = Callable[[str, HostSample, float], None]
 
@@ -79,7 +79,7 @@ def _print_action_end(event: ProgressEvent, guard: threading.Lock) -> None:
 
 
 def print_progress_line(text: str) -> None:
-    """One line on standard error."""
+    """One line on standard error; on a terminal, broken between words."""
     with contextlib.suppress(BrokenPipeError):
-        sys.stderr.write(escape_unprintable(text) + "\n")
+        sys.stderr.write(wrap_text(escape_unprintable(text), detect_render_options(sys.stderr)))
         sys.stderr.flush()

@@ -25,7 +25,6 @@ from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import ListView
 from edgectl.views.output_format import FLEET_FORMATS
 from edgectl.views.plan_sections import (
-    describe_overuse,
     list_operator_mark_notes,
 )
 from edgectl.views.rows import (
@@ -155,11 +154,13 @@ class StatusView(ListView):
     def _render_header(self, look: RenderOptions, problems: int) -> str:
         hosts = self._snapshot.hosts.values()
         running = {name for name, _, sample in self._list_alive_runs() if not is_restarting(sample)}
+        warned = len(self._list_load_warnings())
+        well = "no problem" + (f", {warned} warning{'s' * (warned != 1)} below" if warned else "")
         parts = [
             f"fleet {self._inventory.fleet}",
             f"{sum(name in running for name in self._tasks.tasks)}/{len(self._tasks.tasks)} tasks run",
             f"{sum(host.ok for host in hosts)}/{len(hosts)} hosts answer",
-            f"{problems} problem{'s' * (problems != 1)}:" if problems else "no problem",
+            f"{problems} problem{'s' * (problems != 1)}:" if problems else well,
         ]
         return render_header(parts, look)
 
@@ -273,10 +274,13 @@ class StatusView(ListView):
             *list_snapshot_notes(self._snapshot),
             *list_operator_mark_notes(self._snapshot),
             *list_foreign_notes(self._snapshot),
-            *(found.describe() for found in self._shortages),
-            *map(describe_overuse, find_overuses(self._inventory, self._tasks, self._snapshot)),
+            *self._list_load_warnings(),
             *list_latency_notes(self._list_alive_runs()),
         ]
+
+    def _list_load_warnings(self) -> list[str]:
+        overuses = find_overuses(self._inventory, self._tasks, self._snapshot)
+        return [found.describe() for found in self._shortages] + [found.describe_run() for found in overuses]
 
     def names(self) -> Sequence[str]:
         """The tasks that run."""

@@ -59,10 +59,10 @@ PLAIN = RenderOptions()
 
 
 def detect_render_options(stream: TextIO) -> RenderOptions:
-    """Capabilities of ``stream``: NO_COLOR and TERM=dumb switch colour off, FORCE_COLOR switches it on."""
+    """Capabilities of ``stream``: NO_COLOR, TERM=dumb and CI switch colour off, FORCE_COLOR turns it on."""
     terminal = stream.isatty()
     dumb = os.environ.get("TERM") == "dumb"
-    coloured = bool(os.environ.get("FORCE_COLOR")) or (terminal and not dumb)
+    coloured = bool(os.environ.get("FORCE_COLOR")) or (terminal and not dumb and not is_ci())
     return RenderOptions(
         colour=coloured and not os.environ.get("NO_COLOR"),
         width=shutil.get_terminal_size().columns if terminal else None,

@@ -140,7 +140,7 @@ def render_with_sparklines(
     width = min(longest, room if beside else look.width - _SPARKLINE_INDENT)
     lines = [render_sparkline(values[-width:], top, width, unicode=look.unicode) for values, top in histories]
     title = f"CPU, LAST {width} SAMPLES"
-    title_cell = Cell(title if beside and len(title) <= room else "", "head")
+    title_cell = Cell(title if not beside or len(title) <= room else "", "head")
     drawn = [(*rows[0], title_cell), *((*row, line) for row, line in zip(rows[1:], lines, strict=True))]
     shown = drawn[0 if headers else 1 :]
     return render_columns(shown, look, right=right, wrap=_WRAPPED_COLUMNS, below=not beside)

@@ -26,6 +26,7 @@ from edgectl.views.text import (
     escape_unprintable,
     render_columns,
     style_text,
+    wrap_text,
 )
 from edgectl.views.watch_cycle import WatchTally, add_cycle_to_tally
 
@@ -183,10 +184,14 @@ def _render_watch_task_row(
 
 
 def _render_past_lines(tally: WatchTally, count: int, look: RenderOptions) -> list[str]:
-    lines = [
-        f"{style_text(time.strftime('%H:%M:%S', time.localtime(at)), 'dim', look)} {text}"
-        for at, text in tally.past[-count:]
-    ]
+    """The newest in at most ``count`` lines, each whole: its end may be the command that is needed."""
+    lines: list[str] = []
+    for at, text in reversed(tally.past):
+        begin = time.strftime("%H:%M:%S", time.localtime(at))
+        wrapped = wrap_text(f"{begin} {text}", look, indent=len(begin) + 1).splitlines()
+        if lines and len(lines) + len(wrapped) > count:
+            break
+        lines[:0] = [style_text(begin, "dim", look) + wrapped[0].removeprefix(begin), *wrapped[1:]]
     return lines or [style_text("No events yet.", "dim", look)]
 
 

@@ -114,11 +114,11 @@ def test_a_process_that_comes_into_view_brings_no_more_than_its_average() -> Non
     # Numbers that no process has: of others the kernel knows the time better.
     old, new = 1 << 23, (1 << 23) + 1
     table = {old: a_process(old, cpu_s=6.0, age_s=100.0), new: a_process(new, cpu_s=50.0, age_s=100.0)}
-    group = task.TaskProcesses({old, new}, 0, {})
+    now = task.collect_cpu_s(task.TaskProcesses({old, new}, 0, {}), table)
     # 2 s for the known process, and half a core for the one that has run for 100 s.
-    assert task.compute_cores(group, table, {old: 4.0}, 1.0) == pytest.approx(2.5, abs=0.01)
+    assert task.compute_cores(now, table, {old: 4.0}, 1.0) == pytest.approx(2.5, abs=0.01)
     young = {old: a_process(old, cpu_s=0.5, age_s=0.5)}
-    found = task.compute_cores(task.TaskProcesses({old}, 0, {}), young, {}, 1.0)
+    found = task.compute_cores(task.collect_cpu_s(task.TaskProcesses({old}, 0, {}), young), young, {}, 1.0)
     assert found == pytest.approx(0.5, abs=0.02)
 
 

@@ -3,7 +3,10 @@
 
 import json
 import os
+import random
 import signal
+import socket
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,10 +15,13 @@ from typing import Any
 import pytest
 
 from edgectl.agent.link import frames, protocol
-from edgectl.agent.measure.readings import build_update
+from edgectl.agent.measure.probe import WindowMeter
+from edgectl.agent.measure.readings import build_update, merge_update
+from edgectl.agent.supervise import state_dir
 from edgectl.transport.agent_client import split_frame
 from tests.agent.conftest import AgentHost, eventually, is_running
 from tests.agent.test_converse import DEADLINE_S, MARKER, StayingAgent, open_agent
+from tests.agent.test_probe import ROBOT, connected
 
 BEFORE: dict[str, Any] = {
     "wall": 1000.0,
@@ -84,6 +90,39 @@ def test_entries_and_keys_that_come_and_go_are_sent() -> None:
     assert build_update(resident, change("wall", 1001.0), 0.0)["gone"] == ["resident"]
 
 
+def test_an_update_has_what_changed_and_what_has_an_age_alone() -> None:
+    """Links and loads that stay within their noise are what was said of them before."""
+    later = change("cpu.used_cores", 3.0)
+    later["links"]["robot1"]["rtt_ms"], later["window_s"] = 2.1, 1.0
+    later["tasks"] = {}
+    assert build_update({**BEFORE, "tasks": {}}, later, 1.0)["changed"].keys() == {
+        "cpu",
+        "wall",
+        "other_tasks",
+    }
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_the_manager_knows_is_never_wrong_by_more_than_the_noise(seed: int) -> None:
+    draw = random.Random(seed)
+    known, said_at, sent = BEFORE, 0.0, 0
+    now: dict[str, Any] = json.loads(json.dumps(BEFORE))
+    for second in range(1, 200):
+        now = json.loads(json.dumps(now))
+        now["wall"], now["other_tasks"][0]["age_s"] = 1000.0 + second, 5.0 + second
+        now["tasks"]["age_s"]["age_s"] += 1.0
+        now["cpu"]["used_cores"] = max(0.0, now["cpu"]["used_cores"] + draw.uniform(-0.04, 0.04))
+        now["links"]["robot1"]["rtt_ms"] *= draw.uniform(0.9, 1.1)
+        now["tasks"]["age_s"]["links"]["robot1"] *= draw.uniform(0.98, 1.02)
+        if draw.random() < 0.05:
+            now["tasks"]["age_s"] |= {"age_s": 0.1, "pid": second, "restarts": second}
+        update = build_update(known, now, second - said_at)
+        if update:
+            known, said_at, sent = merge_update(known, update), float(second), sent + 1
+        assert build_update(known, now, second - said_at) == {}
+    assert 10 < sent < 150
+
+
 def read_replies(staying: StayingAgent, number: int) -> list[dict[str, Any]]:
     """Return the replies to one request so far."""
     found, rest = [], staying.said.get(number, b"")
@@ -132,6 +171,41 @@ def test_what_changes_comes_by_itself_and_an_end_is_an_end(staying: StayingAgent
     eventually(lambda: not is_running(child))
     staying.ask(2, "status", task=None)
     assert staying.reply(2)["tasks"].keys() == {"slam"}
+
+
+def test_windows_have_no_gaps_and_a_round_reads_half_of_what_a_probe_reads(host: AgentHost) -> None:
+    """Bytes that were sent between two windows count, and nothing is read once to begin and once to end a window."""
+    links = [{"robot": "robot1", "address": ROBOT}]
+    request = {"host": host.name, "window_s": 0.05, "links": links}
+    host.start("slam", "exec sleep 600")
+    host.until("slam", "running")
+    state_dir.use_fleet([str(host.state)], host.fleet)
+    with connected() as (near, far):
+        meter = WindowMeter(request)
+        first, once = count_reads(meter)
+        near.sendall(b"x" * 100_000)
+        assert len(far.recv(100_000, socket.MSG_WAITALL)) == 100_000
+        time.sleep(0.1)
+        later, again = count_reads(meter)
+        meter.close()
+    assert first["links"]["robot1"]["tx_bytes_per_s"] == 0.0
+    assert later["window_s"] >= 0.15
+    assert later["links"]["robot1"]["tx_bytes_per_s"] * later["window_s"] == pytest.approx(100_000, rel=0.2)
+    assert first["tasks"].keys() == later["tasks"].keys() == {"slam"}
+    assert again <= 0.6 * once
+
+
+def count_reads(meter: WindowMeter) -> tuple[dict[str, Any], int]:
+    """What is measured next, and how many files are opened for it."""
+    opened = []
+    sys.setprofile(
+        lambda _frame, event, what: opened.append(what) if event == "c_call" and what is os.open else None
+    )
+    try:
+        found, _ = meter.measure()
+    finally:
+        sys.setprofile(None)
+    return found, len(opened)
 
 
 def test_it_ends_after_its_rounds(staying: StayingAgent) -> None:

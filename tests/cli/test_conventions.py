@@ -12,6 +12,7 @@ from edgectl.cli.completion import complete_revisions
 from tests.cli.conftest import Run
 from tests.cli.terminal import Terminal
 from tests.executor.fake_fleet import FakeFleet
+from tests.views.fixtures import ROOT
 
 DEMAND = "demand: {cpu: 0.1, memory: 1Mi, throughput: 0}"
 FLEET = "version: 1\nfleet: lab\nedges:\n  edge3: {host: edge3.lab}\n  edge2: {host: edge2.lab}\n  edge1: {host: edge1.lab}\n"
@@ -46,6 +47,49 @@ def test_describe_takes_a_kind_in_all_its_forms(hosts: FakeFleet, run: Run) -> N
     assert run("describe", "edge/edge9").err.startswith("error: unknown edge 'edge9'")
 
 
+def test_get_takes_a_kind_in_all_its_forms(hosts: FakeFleet, run: Run) -> None:
+    edges = "edge/edge1\nedge/edge2\nedge/edge3\n"
+    found = {"edges": edges, "hosts": edges, "robots": "", "tasks": "task/yak\ntask/zeta\n", "links": ""}
+    for kind, names in found.items():
+        for word in (kind, kind.removesuffix("s"), kind[0]):
+            assert run("get", word, "-o", "name").out == names, word
+
+
+def test_the_variables_of_the_environment_stand_in_the_help(run: Run) -> None:
+    """Those that this side reads; a task is given its own."""
+    read = {
+        name
+        for part in ("cli", "state", "transport", "config")
+        for path in (ROOT / "edgectl" / part).rglob("*.py")
+        for name in re.findall(r"\"(EDGECTL_[A-Z_]+)\"", path.read_text())
+    }
+    assert "EDGECTL_SSH_CONFIG" in read
+    text = " ".join(run("--help").out.split())
+    read -= {"EDGECTL_TASK_DIR"}
+    assert sorted(name for name in read if not re.search(rf"\b{name}\b", text)) == []
+
+
+def test_state_and_settings_lie_in_the_places_of_xdg(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("EDGECTL_STATE_DIR", raising=False)
+    for kind in ("STATE", "CONFIG"):
+        monkeypatch.setenv(f"XDG_{kind}_HOME", str(tmp_path / kind))
+    (tmp_path / "lab.yaml").write_text(FLEET)
+    (tmp_path / "tasks.yaml").write_text(TASKS)
+    settings = tmp_path / "CONFIG" / "edgectl" / "config.yaml"
+    settings.parent.mkdir(parents=True)
+    settings.write_text(
+        f"version: 1\ncontext: lab\ncontexts:\n  lab: {{inventory: {tmp_path}/lab.yaml, tasks: {tmp_path}/tasks.yaml}}\n"
+    )
+    settings.chmod(0o600)
+    monkeypatch.chdir(tmp_path)
+    rows = json.loads(run("config", "view", "-o", "json").out)["items"]
+    assert [row["values"] for row in rows if row["setting"] == "user"] == [[str(settings)]]
+    assert run("cordon", "edge2").code == 0
+    assert list((tmp_path / "STATE" / "edgectl" / "fleets" / "lab").iterdir())
+
+
 def test_names_are_taken_as_they_are_printed(hosts: FakeFleet, run: Run) -> None:
     names = run("get", "tasks", "-o", "name").out.split()
     assert names == ["task/yak", "task/zeta"]
@@ -74,6 +118,41 @@ def test_what_acts_on_tasks_takes_labels(hosts: FakeFleet, run: Run) -> None:
         assert run(*words.split()).code == 64, words
 
 
+def test_a_mark_that_is_set_already_is_said_and_no_error(hosts: FakeFleet, run: Run) -> None:
+    """Each twice, in an order in which the first one changes something."""
+    place = hosts.placed["yak"]
+    other = next(name for name in hosts.hosts if name not in hosts.placed.values())
+    for words, named, act in (
+        ("cordon edge3", "edge/edge3", "cordoned"),
+        ("cordon edge3 --drain", "edge/edge3", "cordoned; its tasks leave at the next apply"),
+        ("uncordon edge3", "edge/edge3", "uncordoned"),
+        (f"move yak {other}", "task/yak", f"pinned to {other}"),
+        ("unpin yak", "task/yak", "unpinned"),
+        ("done yak", "task/yak", "marked as done"),
+        ("reopen yak", "task/yak", "reopened"),
+        (f"move yak {place}", "task/yak", f"pinned to {place}"),
+    ):
+        assert run(*words.split()).out == f"{named} {act}\n", words
+        tried = run(*words.split(), "--dry-run")
+        assert tried.out == f"{named} {'' if 'reopen' in words else 'already '}{act} (dry run)\n", words
+        again = run(*words.split())
+        assert (again.code, again.out) == (0, f"{named} already {act}\n"), words
+    hosts.down.add(other)
+    run("get", "hosts")
+    for words, act in ((f"fence {other}", "fenced"), (f"unfence {other}", "unfenced")):
+        yes = ["--yes"] if act == "fenced" else []
+        assert run(*words.split(), *yes).out == f"edge/{other} {act}\n"
+        again = run(*words.split())
+        assert (again.code, again.out, again.err) == (0, f"edge/{other} already {act}\n", "")
+    timed = run("move", "yak", place, "--for", "1h").out
+    assert timed.startswith(f"task/yak pinned to {place} until ")
+    assert run("move", "yak", place, "--for", "2h").out != timed, "a time is counted from now"
+    mixed = run("cordon", "edge1", "edge2", "edge3").out
+    assert mixed == "edge/edge1 cordoned\nedge/edge2 cordoned\nedge/edge3 cordoned\n"
+    assert run("uncordon", "edge2").code == 0
+    assert run("cordon", "edge3", "edge2").out == "edge/edge3 already cordoned\nedge/edge2 cordoned\n"
+
+
 def test_tab_offers_the_revisions_of_this_fleet(
     hosts: FakeFleet, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -98,7 +177,7 @@ def test_top_is_sorted_and_cut_as_get_is(hosts: FakeFleet, run: Run) -> None:
     assert [item["host"] for item in items] == order
     places = hosts.placed
     found = run("top", "tasks", "--sort-by", "host", "--field", "task").out.split()
-    assert found == sorted(places, key=lambda task: places[task])
+    assert found == sorted(sorted(places), key=lambda task: places[task])
     assert run("top", "tasks", "--no-headers").out.split()[0] == "yak"
     unknown = run("top", "hosts", "--field", "cpu.usd_cores")
     assert (unknown.code, unknown.err) == (

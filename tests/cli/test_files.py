@@ -3,6 +3,7 @@
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 import zipfile
@@ -26,10 +27,14 @@ def test_init_writes_a_fleet_that_validates(
     said = run("init", str(target))
     assert said.code == 0
     schemas = [f".edgectl/schemas/{kind}.json" for kind in EDITED_KINDS]
+    assert all((target / name).is_file() for name in [*SCAFFOLD_FILES, *schemas])
+    patrol = [name for name in SCAFFOLD_FILES if name.startswith("tasks/patrol/")]
     assert [line.removeprefix(f"wrote {target}/") for line in said.out.splitlines()] == [
-        *SCAFFOLD_FILES,
-        *schemas,
+        *SCAFFOLD_FILES[:5],
+        f"tasks/patrol/ ({len(patrol)} files)",
+        f".edgectl/schemas/ ({len(schemas)} files)",
     ]
+    assert said.err == f"next: cd {shlex.quote(str(target))} && edgectl plan\n"
     first_line = (target / "tasks" / "patrol" / "tasks.yaml").read_text().split("\n")[0]
     named = first_line.removeprefix("# yaml-language-server: $schema=")
     assert (target / "tasks" / "patrol" / named).resolve() == (
@@ -50,8 +55,13 @@ def test_init_writes_a_fleet_that_validates(
 def test_init_never_overwrites(run: Run, tmp_path: Path) -> None:
     (tmp_path / "tasks").mkdir()
     (tmp_path / "tasks" / "demo.yaml").write_text("mine")
+    (tmp_path / "tasks" / "patrol").mkdir()
+    (tmp_path / "tasks" / "patrol" / "world.py").write_text("mine, too")
     said = run("init", str(tmp_path))
     assert f"kept  {tmp_path / 'tasks' / 'demo.yaml'}\n" in said.out
+    assert f"kept  {tmp_path / 'tasks' / 'patrol' / 'world.py'}\n" in said.out
+    assert f"wrote {tmp_path / 'tasks' / 'patrol'}/ (20 files)\n" in said.out
+    assert len(said.out.splitlines()) < 24, "a screen, with the next command below"
     assert (tmp_path / "tasks" / "demo.yaml").read_text() == "mine"
 
 

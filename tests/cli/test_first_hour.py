@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ten stories of the first hour with edgectl: what a new user tries, and the exact words and exit codes that answer.
 
-Real processes on this machine, in the order of a day in the lab.
+The installed command in a home of its own, with no more of an environment than a cron job has, and real tasks on this
+machine; in the order of a day in the lab.
 """
 
-import os
 import re
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,9 +14,12 @@ from pathlib import Path
 import pytest
 
 from edgectl.state.lock import describe_manager
-from tests.cli.conftest import Run
+from tests.cli.inprocess import Said
 from tests.compiled_agent import give_agent_and_keys
 from tests.leftovers import end_started_in
+from tests.pace import patience
+
+INSTALLED = str(Path(sys.executable).parent / "edgectl")
 
 EDGE = "{host: 127.0.0.1, connection: local, capacity: {cpu: 2, memory: 1Gi}}"
 # Reverse alphabetical, as nobody sorts a lab.
@@ -26,15 +30,39 @@ NAMED = "fleet: lab\n"
 
 
 class Lab:
-    """A folder on the way to be a fleet."""
+    """A folder on the way to be a fleet, and somebody who types there."""
 
-    def __init__(self, folder: Path, run: Run) -> None:
-        self.folder, self.run = folder, run
+    def __init__(self, folder: Path, home: Path) -> None:
+        self.folder, self.home = folder, home
+        self.here = folder
+
+    @property
+    def state(self) -> Path:
+        """Where the command keeps its records by itself."""
+        return self.home / ".local" / "state" / "edgectl"
+
+    def run(self, *words: str) -> Said:
+        done = subprocess.run(
+            [INSTALLED, *words],
+            cwd=self.here,
+            env={"HOME": str(self.home), "PATH": f"{Path(INSTALLED).parent}:/usr/bin:/bin"},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=patience(60),
+        )
+        return Said(done.returncode, done.stdout, done.stderr)
 
     def write(self, *tasks: str, fleet: str = NAMED, inventory: str = "inventories/lab.yaml") -> None:
         self.put(inventory, INVENTORY.replace("{fleet}", fleet))
         self.put("tasks/lab.yaml", "version: 1\ntasks:\n" + "".join(tasks))
-        give_agent_and_keys(Path(os.environ["EDGECTL_STATE_DIR"]), self.folder / inventory)
+        self.give_keys(inventory)
+
+    def give_keys(self, inventory: str) -> None:
+        """Give this machine the compiled agent, and the manager the key of the fleet, to save CPU time."""
+        self.state.mkdir(parents=True, mode=0o700, exist_ok=True)
+        give_agent_and_keys(self.state, self.folder / inventory)
 
     def put(self, name: str, text: str) -> None:
         (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -49,13 +77,11 @@ class Lab:
 
 
 @pytest.fixture
-def lab(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> Iterator[Lab]:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
-    monkeypatch.setattr("sys.stdin", open(os.devnull))  # noqa: SIM115, PTH123 - closed below
+def lab(tmp_path: Path) -> Iterator[Lab]:
+    for name in ("home", "lab"):
+        (tmp_path / name).mkdir()
     try:
-        with sys.stdin:
-            yield Lab(tmp_path, run)
+        yield Lab(tmp_path / "lab", tmp_path / "home")
     finally:
         end_started_in([tmp_path])
 
@@ -80,11 +106,11 @@ def test_1_an_inventory_and_nothing_else(lab: Lab) -> None:
     )
 
 
-def test_2_the_wrong_folder(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_2_the_wrong_folder(lab: Lab) -> None:
     """Below the fleet, above it, and where there is none."""
     lab.write(SLAM)
     error = "error: no inventory given, and there is none in inventories/\nhint: pass -i FILE, or "
-    monkeypatch.chdir(lab.folder / "tasks")
+    lab.here = lab.folder / "tasks"
     marked = f"mark {lab.folder} as the project: echo 'version: 1' > ../edgectl.yaml\n"
     assert lab.run("status") == (64, "", error + marked)
     lab.put("edgectl.yaml", "version: 1\n")
@@ -92,9 +118,9 @@ def test_2_the_wrong_folder(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     (lab.folder / "deep" / "empty").mkdir(parents=True)
     (lab.folder / "edgectl.yaml").rename(lab.folder / "tasks" / "edgectl.yaml")
     (lab.folder / "inventories").rename(lab.folder / "tasks" / "inventories")
-    monkeypatch.chdir(lab.folder)
+    lab.here = lab.folder
     assert lab.run("status") == (64, "", error + "enter the folder of the fleet: cd tasks\n")
-    monkeypatch.chdir(lab.folder / "deep" / "empty")
+    lab.here = lab.folder / "deep" / "empty"
     assert lab.run("status") == (64, "", error + "create an example fleet: edgectl init .\n")
 
 
@@ -106,7 +132,7 @@ def test_3_the_inventory_is_renamed(lab: Lab) -> None:
     first = re.search(r"hint: add fleet: (lab-[0-9a-f]{8})\n", lab.run("validate").err)
     assert first is not None
     (lab.folder / "inventories" / "lab.yaml").rename(lab.folder / "inventories" / "hall.yaml")
-    give_agent_and_keys(lab.folder / "state", lab.folder / "inventories" / "hall.yaml")
+    lab.give_keys("inventories/hall.yaml")
     message = (
         rf"edge[12] runs slam of fleet {first[1]}, started by you; no fleet is stated here: it would be started a "
         "second time"
@@ -130,7 +156,7 @@ def test_4_a_second_machine(lab: Lab) -> None:
     assert lab.run("apply", "--yes").code == 0
     before = lab.pids()
     assert before.keys() == {"slam"}
-    (place,) = (lab.folder / "state").glob("**/fleets/lab")
+    place = lab.state / "fleets" / "lab"
     place.rename(lab.folder / "the-other-machine")
     again = lab.run("apply", "--yes")
     assert (again.code, again.out.splitlines()[-1]) == (0, "No changes. 1 task is where it should be.")
@@ -140,24 +166,22 @@ def test_4_a_second_machine(lab: Lab) -> None:
     assert lab.pids() == before
 
 
-def test_5_a_student_beside_a_student(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_5_a_student_beside_a_student(lab: Lab) -> None:
     """One login, the same host names, two fleets: each sees the other's tasks, and touches none."""
     lab.write(SLAM)
     assert lab.run("apply", "--yes").code == 0
     mine = lab.pids()
     other = lab.folder / "paula"
     other.mkdir()
-    monkeypatch.chdir(other)
-    paula = Lab(other, lab.run)
+    paula = Lab(other, lab.home)
     paula.write(SLAM, fleet="fleet: paula\n")
     note = (
         f"fleet lab ({describe_manager()}) runs slam; it is left alone, and counts as load except on a slice"
     )
-    assert note in " ".join(lab.run("status").err.split())
-    assert lab.run("apply", "--yes").code == 0
-    assert lab.run("stop", "--all", "--yes").code == 0
-    assert lab.run("stop", "--all", "--yes") == (0, "No changes.\n", "")
-    monkeypatch.chdir(lab.folder)
+    assert note in " ".join(paula.run("status").err.split())
+    assert paula.run("apply", "--yes").code == 0
+    assert paula.run("stop", "--all", "--yes").code == 0
+    assert paula.run("stop", "--all", "--yes") == (0, "No changes.\n", "")
     assert lab.pids() == mine
 
 

@@ -48,6 +48,10 @@ def test_help_is_printed_where_no_command_is_given(run: Run) -> None:
     assert whole.code == 0
     assert run("help", "plan") == run("plan", "--help")
     assert "-W, --weights" in run("help", "plan").out
+    assert run("plan", "-h") == run("help", "plan")
+    waiting = " ".join(run("wait", "-h").out.split())
+    for default in ("[default: ready]", "[default: 60s]", "[default: 1s]"):
+        assert default in waiting
 
 
 def test_a_typo_is_answered_with_the_command_that_was_meant(run: Run) -> None:
@@ -207,3 +211,24 @@ def test_a_missing_choice_is_named_in_one_plain_line(run: Run, site: Path) -> No
     assert said.code == 64
     assert "\\n" not in said.err
     assert "Missing argument 'KIND'. Choose from: hosts, links, tasks, " in said.err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("init", "error: Missing argument 'DIR'\nhint: for example: edgectl init demo\n"),
+        (
+            "move slam",
+            "error: Missing argument 'HOST'\nhint: for example: edgectl move navigation-robot1 edge2\n",
+        ),
+        (
+            "describe robot-arm",
+            "error: 'robot-arm' is no kind\nhint: name it: edgectl describe edge|robot|task robot-arm\n",
+        ),
+        ("status slam", "error: unexpected argument: slam\nhint: see edgectl status --help\n"),
+    ],
+)
+def test_what_is_missing_or_too_much_is_answered_with_a_call_that_works(
+    words: str, said: str, run: Run
+) -> None:
+    assert run(*words.split()) == (64, "", said)

@@ -289,6 +289,36 @@ def test_a_verb_in_every_form_for_people_and_programs(verb: str, fleet: tuple[Pa
                 assert all(max(map(len, line.split())) > width // 3 for line in long), long
 
 
+# Of one table or one document of their own, of records that are lines, or text for another program.
+_OTHER_FORMS = {
+    "watch",
+    "logs",
+    "export csv",
+    "export jsonl",
+    "export cron",
+    "export systemd",
+    "export kubernetes",
+}
+_OTHER_FORMS |= {
+    "export nomad",
+    "export compose",
+    "export bluechi",
+    "config current-context",
+    "schema",
+    "completion",
+}
+
+
+def test_all_readers_have_the_same_forms(fleet: tuple[Path, dict[str, str]]) -> None:
+    folder, env = fleet
+    documents = {"json", "jsonl", "yaml", "csv"}
+    for verb in READING.keys() - _OTHER_FORMS:
+        forms = set(_list_forms(verb, folder, tuple(env.items())))
+        assert documents <= forms, verb
+        assert "table" in forms or verb == "graph", verb
+    assert {verb for verb in _OTHER_FORMS if _list_forms(verb, folder, tuple(env.items()))} == {"watch"}
+
+
 def test_a_table_names_its_fleet_on_a_terminal_alone(fleet: tuple[Path, dict[str, str]]) -> None:
     folder, env = fleet
     assert edgectl(["plan", "--out", "next.plan"], folder, env).code == 0
@@ -332,12 +362,15 @@ def test_what_acts_can_be_tried() -> None:
 
 
 def test_what_colours_are_decided_by(fleet: tuple[Path, dict[str, str]]) -> None:
-    """NO_COLOR and TERM=dumb switch them off, FORCE_COLOR on, and --color stands above all of them."""
+    """NO_COLOR, TERM=dumb and CI switch them off, FORCE_COLOR on, and --color stands above all of them."""
     folder, env = fleet
     for given, option, terminal, coloured in (
         ({}, "auto", True, True),
         ({"NO_COLOR": "1"}, "auto", True, False),
         ({"TERM": "dumb"}, "auto", True, False),
+        ({"CI": "true"}, "auto", True, False),
+        ({"CI": "false"}, "auto", True, True),
+        ({"CI": "true", "FORCE_COLOR": "1"}, "auto", True, True),
         ({"NO_COLOR": "1"}, "always", False, True),
         ({"FORCE_COLOR": "1"}, "auto", False, True),
         ({"FORCE_COLOR": "1"}, "never", True, False),

@@ -91,11 +91,11 @@ def test_a_selector_that_matches_nothing_is_said(run: Run, site: Path) -> None:
             ["cordon", "edge/edge3", "edge1", "--drain"],
             ["edge/edge3 cordoned; its tasks leave at the next apply (dry run)"],
         ),
-        (["uncordon", "edge2"], ["edge/edge2 uncordoned (dry run)"]),
+        (["uncordon", "edge2"], ["edge/edge2 already uncordoned (dry run)"]),
         (["fence", "edge1"], ["edge/edge1 fenced (dry run)"]),
-        (["unfence", "edge1"], ["edge/edge1 unfenced (dry run)"]),
+        (["unfence", "edge1"], ["edge/edge1 already unfenced (dry run)"]),
         (["reopen", "slam-robot3"], ["task/slam-robot3 reopened (dry run)"]),
-        (["unpin", "slam-robot3"], ["task/slam-robot3 was not pinned by edgectl move (dry run)"]),
+        (["unpin", "slam-robot3"], ["task/slam-robot3 already unpinned (dry run)"]),
     ],
 )
 def test_a_dry_run_of_a_mark_prints_it_and_leaves_none(

@@ -72,6 +72,20 @@ def test_each_endpoint_of_etcd_is_judged() -> None:
     assert "systemctl status etcd" in bad.remedy
 
 
+def test_names_of_one_machine_are_refused() -> None:
+    answers = dict.fromkeys(("zinc", "arm", "robot1"), replace(FACTS, links={}))
+    inventory = an_inventory(an_edge("zinc"), an_edge("arm"), ROBOT)
+    shared = [("arm", "zinc"), ("arm", "robot1")]
+    diagnosis = diagnose_fleet(inventory, MANAGER, answers, shared=shared)
+    found = {each.host: each for each in diagnosis.findings if each.check == "machine"}
+    assert (set(found), diagnosis.worst) == ({"zinc", "robot1"}, FAILED)
+    said = "is one machine with arm: load and tasks would count twice, so no plan is made"
+    assert {each.message for each in found.values()} == {said}
+    assert found["zinc"].remedy == (
+        "remove arm or zinc from the inventory, or declare both as slices with capacity: {cpu: .., memory: ..}"
+    )
+
+
 CASES: list[tuple[str, dict[str, Any], Severity, str, str]] = [
     ("login", {"login_s": 3.0}, OK, "3.00s, host key known", ""),
     ("login", {"login_s": 3.1}, WARNING, "3.10s for every command", "UseDNS no"),

@@ -208,7 +208,7 @@ def test_logs_of_several_tasks_say_whose_each_line_is(desk: Desk) -> None:
     assert desk.call("logs", "--prefix", "-n", "1", "vision") == "[task/vision] half a line\n"
     partly = desk.run("logs", "slam", "slan")
     assert (partly.returncode, partly.stdout) == (4, "[task/slam] slam up\n")
-    assert partly.stderr == "task/slan: unknown task 'slan'\n"
+    assert partly.stderr == "task/slan: unknown task 'slan'\nhint: did you mean slam?\n"
     refused = desk.run("logs")
     hint = refused.stderr.splitlines()[-1]
     assert (refused.returncode, hint) == (64, "hint: list tasks: edgectl get tasks")

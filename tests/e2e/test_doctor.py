@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from edgectl.errors import UsageError
 from edgectl.model.diagnosis import Diagnosis, Disk, Finding, Severity
 from edgectl.model.inventory import Capacity, Connection, Host, Inventory, Role
+from edgectl.model.policy import Policy
 from edgectl.model.resource import CPU, MEMORY
 from edgectl.model.task import Tasks
 from edgectl.state.heartbeats import load_heartbeats
@@ -17,6 +19,7 @@ from edgectl.state.state_dir_check import inspect_state_dir
 from edgectl.transport.fleet_transport import FleetTransport
 from edgectl.usecases.doctor import run_doctor
 from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.plan import make_plan
 from tests.agent.conftest import shared_memory
 from tests.builders import GI, a_robot, a_task, an_inventory, some_tasks
 from tests.pace import patience
@@ -25,9 +28,10 @@ from tests.sshd import Lab
 # No traffic ever leaves: our own kernel has no route.
 NOWHERE = "255.255.255.255"
 LINKS = {(edge, "robot1"): 10e6 for edge in ("edge1", "edge2")}
-# Slow machines log in slowly; free disk space and memory are the machine's.
+# Slow machines log in slowly; free disk space and memory are the machine's, of which every host here is one.
 OWN = {
     ("login", Severity.WARNING),
+    ("machine", Severity.FAILED),
     *((check, level) for check in ("disk", "memory", "logind", "clock") for level in Severity),
 }
 
@@ -50,10 +54,7 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Disk:
 
 
 def diagnose_named(inventory: Inventory, state: Disk, *names: str, tasks: Tasks | None = None) -> Diagnosis:
-    fleet = Fleet(
-        inventory=inventory, tasks=tasks or some_tasks(), transport=FleetTransport(), state=Path(state.path)
-    )
-    return run_doctor(fleet, state, names, timeout=patience(30.0))
+    return run_doctor(open_fleet(inventory, state, tasks), state, names, timeout=patience(30.0))
 
 
 def list_complaints(diagnosis: Diagnosis) -> list[Finding]:
@@ -100,6 +101,27 @@ def test_what_the_edges_that_answer_lack_for_the_tasks_of_the_files(
     (found,) = (finding for finding in diagnosis.findings if finding.check == "room")
     assert (found.host, found.level) == (None, Severity.WARNING)
     assert found.message == "the edges are short of 3.0Gi of memory: the least that would help"
+
+
+def test_names_of_one_machine_which_no_plan_takes(inventory: Inventory, state: Disk) -> None:
+    """The three sshd of the lab run on this machine. Slices of it are told apart by what they declare."""
+    whole = diagnose_named(inventory, state)
+    found = {finding.host: finding for finding in whole.findings if finding.check == "machine"}
+    assert (set(found), whole.worst) == ({"edge2", "robot1"}, Severity.FAILED)
+    assert {each.message.partition(":")[0] for each in found.values()} == {"is one machine with edge1"}
+    with pytest.raises(UsageError, match="edge1 and edge2 are one machine"):
+        make_plan(open_fleet(inventory, state), Policy())
+    told_apart = diagnose_named(slices(inventory), state)
+    assert [finding for finding in told_apart.findings if finding.check == "machine"] == []
+    assert not [
+        each for each in diagnose_named(inventory, state, "edge2").findings if each.check == "machine"
+    ]
+
+
+def open_fleet(inventory: Inventory, state: Disk, tasks: Tasks | None = None) -> Fleet:
+    return Fleet(
+        inventory=inventory, tasks=tasks or some_tasks(), transport=FleetTransport(), state=Path(state.path)
+    )
 
 
 def slices(inventory: Inventory) -> Inventory:
@@ -269,7 +291,8 @@ def test_the_command(
     out, err = capfd.readouterr()
     assert err == ""
     assert out.startswith("this machine\nok    disk ")
-    assert "\nedge2\nok    login" in out
+    assert "\nedge2\nFAIL  machine       is one machine with edge1: load and tasks would count twice" in out
+    assert "fix: remove edge1 or edge2 from the inventory, or declare both as slices with capacity: {" in out
     assert "FAIL  ros           ROS_DOMAIN_ID is not set (0 by default), but 7 on edge1\n" in out
     assert '                    fix: in the inventory, for edge2: env: {ROS_DOMAIN_ID: "7"}\n' in out
     assert main(["doctor", "edge1", "-o", "json", *files]) == 0

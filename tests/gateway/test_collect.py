@@ -18,14 +18,17 @@ from edgectl.errors import (
     RefusedError,
     ReplyError,
 )
+from edgectl.gateway import readings
 from edgectl.gateway.fanout import fan_out
-from edgectl.gateway.host_probe import ProbeOptions, probe_hosts
+from edgectl.gateway.host_probe import DecodedProbe, ProbeOptions, probe_hosts
+from edgectl.gateway.readings import FleetReadings
 from edgectl.model.check import Check, CheckLocation
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.snapshot import HostSample, HostStatus, TaskState
 from edgectl.model.task import DetectRule, Tasks
 from edgectl.transport.base import Reply, Session
 from edgectl.transport.fake import FakeTransport
+from edgectl.transport.readings import ReadingFeeds
 from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tasks
 from tests.executor.fake_fleet import FakeFleet
 
@@ -50,6 +53,25 @@ def test_hosts_stand_in_the_order_of_the_inventory_and_unprobed_robots_are_left_
     assert all(sample.ok for sample in snapshot.hosts.values())
     assert list(snapshot.hosts["edge1"].links) == ["robot1", "robot2"]
     assert snapshot.hosts["robot1"].links == {}
+
+
+def test_names_are_resolved_once_for_the_cycles_of_readings(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each takes a thread, as any of them may take its time."""
+    asked: list[str] = []
+
+    class Resolving(FakeTransport):
+        def address(self, host: Host) -> str:
+            asked.append(host.name)
+            return f"{host.name}.lab"
+
+    transport = Resolving(dict.fromkeys(["edge1", "edge2", "edge10", "robot1"], ConnectError("is off")))
+    kept = FleetReadings[DecodedProbe](ReadingFeeds(), every=1.0)
+    for options in (ProbeOptions(), ProbeOptions(), *[ProbeOptions(readings=kept)] * 3):
+        probe_hosts(build_inventory(), NONE, transport, options=options)
+    assert sorted(asked) == sorted(["edge1", "edge2", "edge10", "robot1", "robot2"] * 3)
+    monkeypatch.setattr(readings, "_ASK_EACH_S", 0.0)
+    probe_hosts(build_inventory(), NONE, transport, options=ProbeOptions(readings=kept))
+    assert len(asked) == 4 * 5
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from edgectl.gateway.probe_reply import (
     decode_probe,
     list_done_tasks,
 )
+from edgectl.gateway.replies import ProbeReply
 from edgectl.model.inventory import BaseLoad, Capacity, Host
 from edgectl.model.resource import NETWORK
 from edgectl.model.snapshot import CapacitySource, HostSample, HostStatus, TaskState, TrafficSource
@@ -474,6 +475,34 @@ def test_whatever_stands_in_a_document_it_is_a_sound_sample_or_a_reply_error() -
         assert sample.usage["cpu"].capacity > 0
         json.dumps(sample.device.boot_id, allow_nan=False)
     assert 5_000 < refused < 20_000
+
+
+def test_what_a_reply_repeats_is_not_decoded_again_and_reads_as_if_it_were() -> None:
+    before, host = a_document(checks={"slam": {"exit": 1}}, former=["edge0"]), an_edge("edge1")
+    known = (before, decode_probe(before, host))
+    update = {
+        "cpu": {"cores": 4, "used_cores": 2.5},
+        "interfaces": {"eth1": {"rx_bytes_per_s": 1, "tx_bytes_per_s": 2}},
+    }
+    again = decode_probe({**before, **update}, host, known)
+    assert again == decode_probe({**before, **update}, host) != known[1]
+    assert (again.links, again.tasks, again.checks) == (known[1].links, known[1].tasks, known[1].checks)
+    assert again.links is known[1].links
+    assert again.tasks is known[1].tasks
+    assert again.interfaces is not known[1].interfaces
+    odd: list[object] = [None, 0, "x", {}, [], {"slam": {"exit": 0}}, ["edge9"], True, 1e300]
+    for key in before:
+        for value in (*odd, *([...] if key != "v" else [])):
+            later = {name: each for name, each in before.items() if name != key}
+            later |= {} if value is ... else {key: value}
+            assert decode_or_refuse(later, host, known) == decode_or_refuse(later, host, None), (key, value)
+
+
+def decode_or_refuse(document: Document, host: Host, known: tuple[Document, ProbeReply] | None) -> object:
+    try:
+        return decode_probe(document, host, known)
+    except ReplyError as error:
+        return str(error)
 
 
 def test_a_profiler_s_readings_say_how_old_they_are() -> None:

@@ -10,7 +10,7 @@ from edgectl.errors import ReplyError
 from edgectl.gateway.host_facts import SentRequest, decode_host_facts
 from edgectl.gateway.probe_reply import ReplyContext
 from edgectl.model.diagnosis import Disk, HostFacts, Logind, ShellEnvironment
-from edgectl.model.snapshot import CapacitySource
+from edgectl.model.snapshot import CapacitySource, MachineIdentity
 from tests.builders import NOW, an_edge
 
 Document = dict[str, object]
@@ -37,6 +37,9 @@ def test_a_whole_answer() -> None:
     found = read_facts(DOCUMENT)
     assert found.login_s == 0.5
     assert found.skew_s == (8.5, 9.0)
+    assert found.machine == MachineIdentity()
+    told = read_facts({**DOCUMENT, "machine": {"boot_id": "b", "pid_namespace": "pid:[1]"}})
+    assert told.machine == MachineIdentity(boot_id="b", pid_namespace="pid:[1]")
     assert found.logind == Logind(user="jetson", present=True, removes_ipc=True)
     assert found.disk == Disk(path="/home/jetson/.local/state/edgectl", free_bytes=1e9, total_bytes=8e9)
     assert found.surroundings == ShellEnvironment(
@@ -63,7 +66,7 @@ def test_capacity_comes_from_the_same_sources_as_in_a_probe() -> None:
     [
         (("v",), 2), (("op",), "probe"), (("host",), "edge2"), (("clock", "began"), "now"), (("clock", "ended"), None),
         (("memory", "total_bytes"), 0), (("memory", "used_bytes"), -1), (("disk", "free_bytes"), True), (("disk", "files_left"), 1.5),
-        (("logind", "lingers"), "no"), (("links",), []),
+        (("logind", "lingers"), "no"), (("machine",), 7), (("links",), []),
         (("surroundings", "variables"), "x"), (("surroundings", "status"), "1"),
     ],
 )  # fmt: skip

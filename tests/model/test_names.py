@@ -41,5 +41,25 @@ def test_an_unknown_name_is_refused_with_what_mends_it(among: list[str], hint: s
     assert (caught.value.message, caught.value.hint) == ("unknown host 'edgy1'", hint)
 
 
+@pytest.mark.parametrize(
+    ("names", "among", "message", "hint"),
+    [
+        (["slma", "edge1", "nvg", "slma"], ["slam", "nav", "edge1"], "unknown tasks 'slma', 'nvg'",
+         "did you mean slam for slma, nav for nvg?"),
+        (["slma", "zz"], ["slam", "nav"], "unknown tasks 'slma', 'zz'", "did you mean slam for slma? known: slam, nav"),
+        (["yy", "zz"], ["slam"], "unknown tasks 'yy', 'zz'", "known: slam"),
+        (["yy", "zz"], [], "unknown tasks 'yy', 'zz'", "there is no task"),
+    ],
+)  # fmt: skip
+def test_unknown_names_are_named_all_at_once(
+    names: list[str], among: list[str], message: str, hint: str
+) -> None:
+    with pytest.raises(UsageError) as caught:
+        check_known_names(names, among, "task")
+    assert (caught.value.message, caught.value.hint) == (message, hint)
+    with pytest.raises(UsageError, match="unknown ends of a link 'yy', 'zz'"):
+        check_known_names(["yy", "zz"], among, "end of a link")
+
+
 def test_names_that_exist_pass() -> None:
     check_known_names(["b", "a"], ["a", "b"], "host")

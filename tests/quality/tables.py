@@ -4,7 +4,9 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from statistics import median
+from tempfile import TemporaryDirectory
 
 from tests.quality.measures import (
     Shortfall,
@@ -17,6 +19,7 @@ from tests.quality.measures import (
     prove_first_levels,
 )
 from tests.scheduler.closed_loop import ClosedLoop, build_saturated_loop, build_tight_loop
+from tests.usecases.tight_sites import CronSite, watch_tight_site
 
 Cells = tuple[str, ...]
 SEEDS = 3
@@ -49,30 +52,57 @@ def build_tables() -> tuple[Table, ...]:
     return _build_unplaced(), _build_sums(), _build_proofs(), _build_stability(), _build_explanations()
 
 
-# Spare capacity and noise of the readings, both as shares of the capacity.
-_LOOPS = ((0.005, 0.02), (0.005, 0.05), (0.025, 0.05))
+# What just fits; spare capacity and noise of the readings, both as shares of the capacity.
+_LOOPS = (
+    ("cpu", 0.005, 0.02),
+    ("cpu", 0.005, 0.05),
+    ("cpu", 0.025, 0.05),
+    ("memory", 0.005, 0.02),
+    ("network", 0.005, 0.02),
+    ("network", 0.005, 0.05),
+)
+# Noise up to which a task is also run by the real loops.
+_REAL_NOISE = 0.02
 
 
 def _build_stability() -> Table:
     names = [
-        f"two edges, one task that just fits: {spare:.1%} spare, noise {noise:.0%}" for spare, noise in _LOOPS
+        f"a task that just fits by {resource}: {spare:.1%} spare, noise {noise:.0%}"
+        for resource, spare, noise in _LOOPS
     ]
     names.append("three edges, each overloaded by its two tasks, noise 2%")
     return Table(
         heading="Stability",
-        columns=("fleet, 360 cycles of 10 s", "raw readings", "smoothed"),
+        columns=("fleet", "raw readings", "smoothed", "`watch --apply`", "`apply` each minute"),
         labels=[(name.replace("%", " %"),) for name in names],
         measure=_measure_stability,
     )
 
 
 def _measure_stability() -> Iterator[Cells]:
-    builders: list[Callable[..., ClosedLoop]] = [partial(build_tight_loop, *loop) for loop in _LOOPS]
-    for build in (*builders, build_saturated_loop):
-        yield tuple(
-            str(max(build(smooth=smooth, seed=seed).run() for seed in range(1, SEEDS + 1)))
-            for smooth in (False, True)
-        )
+    for resource, spare, noise in _LOOPS:
+        build = partial(build_tight_loop, spare, noise, resource=resource)
+        real = _measure_real_loops(resource, noise) if noise <= _REAL_NOISE else ("", "")
+        yield (*_measure_loops(build), *real)
+    yield (*_measure_loops(build_saturated_loop), "", "")
+
+
+def _measure_loops(build: Callable[..., ClosedLoop]) -> Cells:
+    return tuple(
+        str(max(build(smooth=smooth, seed=seed).run() for seed in range(1, SEEDS + 1)))
+        for smooth in (False, True)
+    )
+
+
+def _measure_real_loops(resource: str, noise: float) -> Cells:
+    """The moves of an hour of `watch --apply`, and of an hour of `apply` from cron, over simulated hosts."""
+    moves: dict[str, list[int]] = {"watch": [], "cron": []}
+    for seed in range(1, SEEDS + 1):
+        with TemporaryDirectory() as folder:
+            state = Path(folder)
+            moves["watch"].append(watch_tight_site(state / "watch", resource, 360, up_to=noise, seed=seed))
+            moves["cron"].append(CronSite(state / "cron", resource, up_to=noise, seed=seed).run(60))
+    return tuple(str(max(found)) for found in moves.values())
 
 
 def _build_unplaced() -> Table:

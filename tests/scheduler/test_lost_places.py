@@ -15,8 +15,8 @@ from edgectl.model.inventory import Connection, Inventory
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action, Plan
 from edgectl.model.result import Results
-from edgectl.model.snapshot import DeviceSample, HostSample, Snapshot
-from edgectl.rules.lost_places import find_shared_machine, list_fence_marks
+from edgectl.model.snapshot import DeviceSample, HostSample, MachineIdentity, Snapshot
+from edgectl.rules.lost_places import find_shared_machine, list_fence_marks, list_shared_machines
 from edgectl.scheduler.assign import assign
 from edgectl.views.notes import list_lost_task_notes
 from edgectl.views.reasons import describe_reason
@@ -151,3 +151,10 @@ def test_one_machine_under_two_names_is_found(
 ) -> None:
     hosts = {"a": answer_from(*one), "b": answer_from("o", "x", "o"), "c": answer_from(*other)}
     assert find_shared_machine(inventory, Snapshot(taken_at=NOW, hosts=hosts)) == shared
+
+
+def test_each_further_name_of_a_machine_is_listed_after_the_first() -> None:
+    one, other = MachineIdentity(boot_id="x", machine_id="m"), MachineIdentity(boot_id="y", machine_id="m")
+    inventory = an_inventory(*map(an_edge, "fedcba"))
+    seen = {"f": one, "e": other, "d": one, "c": MachineIdentity(), "b": other, "a": one}
+    assert list(list_shared_machines(inventory, seen)) == [("f", "d"), ("e", "b"), ("f", "a")]

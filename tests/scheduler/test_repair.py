@@ -17,6 +17,7 @@ from edgectl.model.snapshot import HostSample, Snapshot
 from edgectl.model.task import Task, Tasks
 from edgectl.scheduler.insertion import place_item
 from edgectl.scheduler.packing import Item, Packing, ShareTable
+from edgectl.views.reasons import describe_reason
 from tests.builders import (
     NOW,
     a_link,
@@ -156,6 +157,7 @@ def test_a_task_is_preempted_only_by_one_of_higher_priority_that_may(
     if host:
         assert (steps["low"].decision.reason, steps["low"].decision.subject) == (Reason.PREEMPTED, "high")
         assert steps["low"].instances == {"edge1": "instance-1"}
+        assert describe_reason(steps["low"]) == "stop: preempted by high of higher priority"
 
 
 @pytest.mark.parametrize("seed", range(40))

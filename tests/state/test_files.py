@@ -12,10 +12,12 @@ from pathlib import Path
 import pytest
 
 from edgectl.errors import LockBusyError, StateError
+from edgectl.model.link_reading import LinkHistory
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.state import failpoints, fleet_dir
 from edgectl.state.fleet_dir import ensure_fleet_dir
 from edgectl.state.json_files import read_json, write_json
+from edgectl.state.link_readings import load_link_histories, save_link_histories
 from edgectl.state.lock import FleetLock
 from edgectl.state.manager_state import (
     load_link_capacities,
@@ -193,3 +195,22 @@ def test_a_directory_above_that_another_user_may_exchange_is_refused(
     with pytest.raises(StateError, match="which another user may change") as raised:
         ensure_private_dir(above / "state")
     assert f"chmod go-w {above}" in raised.value.hint
+
+
+def test_readings_of_links_are_read_again_only_where_the_file_was_replaced(tmp_path: Path) -> None:
+    """The same objects: nothing was decoded anew. Whoever changes what was returned changes nothing here."""
+    pair, warnings = ("edge2", "robot1"), list[str]()
+    assert load_link_histories(tmp_path) == {}
+    save_link_histories(tmp_path, {pair: LinkHistory(answered=True)})
+    found = load_link_histories(tmp_path)
+    assert load_link_histories(tmp_path)[pair] is found[pair]
+    found.clear()
+    assert load_link_histories(tmp_path) == {pair: LinkHistory(answered=True)}
+    save_link_histories(tmp_path, {pair: LinkHistory(silent=2)})
+    assert load_link_histories(tmp_path) == {pair: LinkHistory(silent=2)}
+    (tmp_path / "live-links.json").write_text("no JSON")
+    (tmp_path / "live-links.json.previous").unlink(missing_ok=True)
+    assert load_link_histories(tmp_path, warnings.append) == {}
+    assert len(warnings) == 1
+    assert load_link_histories(tmp_path, warnings.append) == {}
+    assert len(warnings) == 1

@@ -7,7 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator
-from contextlib import AbstractContextManager, closing, nullcontext
+from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any, Self
@@ -363,7 +363,10 @@ def test_what_asks_again_and_again_converses(
 class ScriptedExchange:
     """An agent that says what ``answer`` makes of each frame of the manager; None: its end."""
 
-    def __init__(self, answer: Callable[[str, int, bytes], bytes | None], marker: str) -> None:
+    def __init__(
+        self, answer: Callable[[str, int, bytes], bytes | None], marker: str, is_free: Callable[[], bool]
+    ) -> None:
+        self.can_write = is_free
         self._answer, self._reader = answer, frames.FrameReader(frames.MANAGER_WORDS)
         self._said: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._said.put(b"Welcome\n" + frame_reply(marker, {"op": protocol.OP_CONVERSE}))
@@ -400,9 +403,10 @@ Answer = Callable[[str, int, bytes], bytes | None]
 
 
 class ScriptedSession:
-    """A host whose calls say ``by a call``, and whose agent is scripted."""
+    """A host whose calls say ``by a call``, and whose agent is scripted; ``free``: it takes what is written."""
 
     python = "python3"
+    free = True
 
     def __init__(self, answer: Answer) -> None:
         self.answer, self.begun = answer, 0
@@ -420,7 +424,7 @@ class ScriptedSession:
         self, command: str, stdin: bytes, *, timeout: float, give_way: Callable[[], None]
     ) -> OpenExchange:
         self.begun += 1
-        return ScriptedExchange(self.answer, unpack_request(stdin)[0])
+        return ScriptedExchange(self.answer, unpack_request(stdin)[0], lambda: self.free)
 
     def close(self) -> None: ...
 
@@ -592,6 +596,39 @@ def test_requests_far_apart_have_calls(monkeypatch: pytest.MonkeyPatch) -> None:
                 assert run_scripted(session) == b"by a call"
             time.sleep(0.1)
         assert within.begun == 0
+
+
+def test_one_thread_sends_all_pulses_and_waits_for_no_host() -> None:
+    """A host that takes nothing, whether it says so or not, has a thread of its own, and one at a time."""
+    pulses: list[tuple[int, threading.Thread]] = []
+    stuck, over = threading.Event(), threading.Event()
+
+    def answer(index: int) -> Answer:
+        def say(word: str, number: int, body: bytes) -> bytes:
+            if word == frames.PULSE:
+                pulses.append((index, threading.current_thread()))
+                if index == 0 and stuck.is_set():
+                    over.wait(ANSWERS_S)
+            return answer_well(word, number, body)
+
+        return say
+
+    with ExitStack() as stack:
+        stack.callback(over.set)
+        sessions = [ScriptedSession(answer(index)) for index in range(8)]
+        for each in sessions:
+            until_shared(stack.enter_context(ConversingSession(each)))
+        until(lambda: {index for index, _ in pulses} == set(range(8)))
+        assert len({thread.ident for _, thread in pulses}) == 1
+        # Still open, so their agents live.
+        sessions[0].free = False
+        stuck.set()
+        del pulses[:]
+        until(lambda: all(sum(index == each for each, _ in pulses) >= 3 for index in range(1, 8)))
+        own = [thread for index, thread in pulses if index == 0]
+        assert len(own) == 1
+        assert {thread.name for index, thread in pulses if index} == {"edgectl-pulse"} != {own[0].name}
+    until(lambda: not any(each.name == "edgectl-pulse" for each in threading.enumerate()))
 
 
 def test_a_conversation_that_nobody_uses_ends(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -64,6 +64,25 @@ def test_a_packet_that_announces_too_much_ends_the_connection(kind: type) -> Non
         line.close()
 
 
+def test_packets_that_came_together_are_fetched_by_one_call() -> None:
+    """paramiko asks for the first block of a packet, then for its rest."""
+    ours, theirs = socket.socketpair()
+    calls = []
+    with theirs, ours:
+        theirs.sendall(b"".join(b"%02d" % number * 50 for number in range(20)))
+        line = TunedSocket(fileno=ours.detach())
+        sys.setprofile(lambda _frame, event, what: calls.append(what.__name__) if event == "c_call" else None)
+        try:
+            found = [line.recv(16) + line.recv(84) for _ in range(20)]
+        finally:
+            sys.setprofile(None)
+        theirs.close()
+        assert found == [b"%02d" % number * 50 for number in range(20)]
+        assert (calls.count("recv"), calls.count("setsockopt")) == (1, 1)
+        assert line.recv(16) == b""
+        line.close()
+
+
 def test_a_server_behind_a_jump_host_may_not_talk_without_end_before_the_login() -> None:
     ours, theirs = socket.socketpair()
     with theirs, ours:

@@ -196,7 +196,7 @@ def test_without_a_record_there_is_nothing_to_go_back_to(bench: Bench) -> None:
     (old,) = bench.past
     assert (old.ending, old.counts, old.verb, old.seconds) == (RevisionOutcome.DONE, {"start": 1}, "", 0.0)
     with pytest.raises(
-        UsageError, match="after revision 1 was not recorded: it was interrupted, or made by an older edgectl"
+        UsageError, match="after revision 1 is not known here: it was interrupted, made by an older edgectl"
     ):
         roll_back_fleet(bench.fleet, POLICY, 1)
 

@@ -8,22 +8,25 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.errors import StalePlanError
+from edgectl.errors import StalePlanError, UsageError
 from edgectl.model.assignment import DemandSource
 from edgectl.model.check import Check
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy
 from edgectl.model.resource import CPU, Usage
+from edgectl.model.revision import RevisionOutcome
 from edgectl.model.task import Task
 from edgectl.state import failpoints
 from edgectl.state.journal_reader import read_journal
-from edgectl.state.open_work import OpenWork, collect_open_work, take_over_work
-from edgectl.state.revisions import load_revisions
+from edgectl.state.lock import describe_manager
+from edgectl.state.open_work import OpenWork, SharedRevision, collect_open_work, take_over_work
+from edgectl.state.revisions import collect_shared_revisions, load_revisions
 from edgectl.state.shared_state import load_local_copy, save_local_copy
 from edgectl.state.store import Store
 from edgectl.transport.etcd_client import EtcdClient
 from edgectl.transport.etcd_lease import read_fleet_keys
 from edgectl.usecases.apply import ApplyResult, apply_saved_plan, plan_and_apply
+from edgectl.usecases.history import list_shared_revisions, roll_back_fleet
 from edgectl.usecases.plan import make_plan
 from edgectl.usecases.probe import probe_fleet
 from edgectl.usecases.watch import WatchOptions, watch_fleet
@@ -160,7 +163,53 @@ def test_the_next_machine_says_what_was_interrupted_and_goes_on_counting(
     assert ended.results is not None
     assert ended.results.revision == 3
     assert any("revision 2 was interrupted while it changed slam" in text for text in site.said)
-    assert [each.number for each in load_revisions(site.folder / "ben")] == [3]
+    assert [each.number for each in load_revisions(site.folder / "ben")] == [1, 3]
+
+
+def move_as(site: Site, name: str, host: str) -> None:
+    plan_and_apply(site.manager(name, tasks=(pinned(a_task("t0"), host),)), POLICY, options=PATIENT)
+
+
+def roll_back_as(site: Site, name: str) -> None:
+    roll_back_fleet(site.manager(name, tasks=(a_task("t0"),)), POLICY, None, options=PATIENT)
+
+
+def test_any_machine_lists_the_revisions_of_all_and_goes_back_to_the_one_before(three_hosts: Site) -> None:
+    """ben has changed the fleet, too, so that his own newest revision is not that of the fleet."""
+    site = three_hosts
+    for name, host in (("ana", "edge3"), ("ben", "edge2"), ("ana", "edge1"), ("ana", "edge3")):
+        move_as(site, name, host)
+    seen = list_shared_revisions(site.manager("ben"))
+    assert [each.number for each in seen] == [1, 2, 3, 4]
+    assert [each.placements for each in seen] == [
+        {"t0": host} for host in ("edge3", "edge2", "edge1", "edge3")
+    ]
+    assert [bool(each.actions) for each in seen] == [False, True, False, False]
+    assert seen[3].user == describe_manager()
+    assert {each.ending for each in seen} == {RevisionOutcome.DONE}
+    roll_back_as(site, "ben")
+    assert site.hosts.placed == {"t0": "edge1"}
+    assert [each.verb for each in list_shared_revisions(site.manager("dan"))] == [*["apply"] * 4, "rollback"]
+    assert [each.verb for each in list_shared_revisions(site.manager("ana"))] == [*["apply"] * 4, "rollback"]
+
+
+def test_the_revision_in_which_a_machine_died_is_the_last_one(three_hosts: Site) -> None:
+    site = three_hosts
+    move_as(site, "ana", "edge3")
+    move_as(site, "ana", "edge2")
+    die_at("stop acknowledged", 1, lambda: move_as(site, "ana", "edge1"))
+    roll_back_as(site, "ben")
+    assert site.hosts.placed == {"t0": "edge2"}
+    with pytest.raises(UsageError, match="revision 3, the one before the last, was made on another machine"):
+        roll_back_as(site, "cem")
+
+
+def test_what_is_shared_of_revisions_is_bounded(tmp_path: Path) -> None:
+    tasks = {f"t{number}": "edge1" for number in range(1000)}
+    known = [SharedRevision(number=number, began_at=NOW, placements=tasks) for number in range(1, 30)]
+    kept = collect_shared_revisions(tmp_path, known, "lab-pc")
+    assert [each.number for each in kept] == [*range(14, 30)]
+    assert [each.number for each in kept if each.placements is not None] == [26, 27, 28, 29]
 
 
 def test_a_robot_of_a_lost_machine_holds_until_the_next_one_gets_a_task_ready(

@@ -171,7 +171,8 @@ def test_nobody_else_changes_the_fleet_between_the_sample_and_the_end_of_the_act
 
     list(site.watch(1, policy=meanwhile))
     assert "watch" in refused[0]
-    assert operator_marks.cordon_hosts(site.fleet, ["edge1"]).cordons == {"edge1"}
+    operator_marks.cordon_hosts(site.fleet, ["edge1"])
+    assert load_manager_state(site.fleet.state).cordons == {"edge1"}
 
 
 def test_completed_tasks_are_remembered_although_nothing_is_carried_out(site: WatchSite) -> None:

@@ -23,6 +23,7 @@ from edgectl.model.resource import RESOURCES
 from edgectl.rules.awaited_state import AwaitedState, TaskProgress
 from edgectl.views.byte_counters import ByteCountersView
 from edgectl.views.config import ContextRow, ContextsView, Setting, SettingsView
+from edgectl.views.describe import DetailsView
 from edgectl.views.diagnosis import DiagnosisView
 from edgectl.views.diff import DiffView
 from edgectl.views.dry_run import RequestsView
@@ -77,6 +78,7 @@ def list_views() -> Iterator[View]:
     )
     yield from map(test_describe.host_view, ("edge1", "edge2", "robot1"))
     yield from (test_describe.task_view(), test_describe.task_view("idle"))
+    yield DetailsView([test_describe.host_view("edge1"), test_describe.task_view()])
     yield from (test_top.hosts_view(), test_top.tasks_view(test_top.saying()))
     listing = test_listing.listed(ListingKind.TASKS)
     yield ListingChangesView(listing, compare_listings(None, listing), None)
@@ -219,6 +221,13 @@ def test_units_stand_in_the_names_of_numbers() -> None:
         "ms",
         "bytes/s",
     }
+
+
+def test_a_number_without_a_unit_is_none_of_a_quantity() -> None:
+    words = ("second", "millisecond", "byte", "core", "watt", "degree", "volt")
+    bare = [entry for entry in GLOSSARY.values() if entry.type is KeyType.NUMBER and not entry.unit]
+    assert [e.key for e in bare if any(f"in {word}s" in e.meaning for word in words)] == []
+    assert [e.key for e in bare if e.key.rpartition("_")[2] in ("s", "ms", "bytes", "cores", "watts")] == []
 
 
 def test_the_page_lists_the_glossary() -> None:

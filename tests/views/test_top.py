@@ -139,7 +139,7 @@ def test_hosts_on_a_wide_terminal() -> None:
 
 def test_hosts_on_a_narrow_terminal() -> None:
     lines = hosts(look=RenderOptions(width=80, unicode=True)).splitlines()
-    assert lines[:5] == [HEAD, EDGE1, "    ▁▂▃▄▅▆▇█ █", *REST]
+    assert lines[:6] == [HEAD, "    CPU, LAST 10 SAMPLES", EDGE1, "    ▁▂▃▄▅▆▇█ █", *REST]
 
 
 def test_hosts_in_ascii() -> None:
@@ -161,8 +161,9 @@ def test_sixty_samples_stand_below_where_there_is_no_room_beside() -> None:
     lines = render_view(
         TopHostsView(snapshot(), FLEET, points), OutputFormat.TABLE, RenderOptions(width=80, unicode=True)
     ).splitlines()
-    assert lines[1].startswith("edge1 ")
-    assert lines[2] == "    " + "▁█" * 30
+    assert lines[1] == "    CPU, LAST 60 SAMPLES"
+    assert lines[2].startswith("edge1 ")
+    assert lines[3] == "    " + "▁█" * 30
     wide = render_view(
         TopHostsView(snapshot(), FLEET, points), OutputFormat.TABLE, RenderOptions(width=160, unicode=True)
     ).splitlines()

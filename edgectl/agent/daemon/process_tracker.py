@@ -51,14 +51,15 @@ class ProcessTracker:
         table = self._read_table()
         rates: "dict[str, Document]" = {}
         used: "dict[str, int]" = {}
+        then, self.then = self.then, {}
         for name, group in self.groups.items():
+            now = self.then[name] = task.collect_cpu_s(group, table)
             rates[name] = task.compute_traffic(
                 self.sockets[name], flows, addresses, seconds, self._find_group(name, counted)
             )
-            rates[name]["used_cores"] = task.compute_cores(group, table, self.then.get(name, {}), seconds)
+            rates[name]["used_cores"] = task.compute_cores(now, table, then.get(name, {}), seconds)
             base, rss = self.levels[name]
             used[name] = max(0, base + _sum_rss(group, table) - rss)
-        self.then = {name: task.collect_cpu_s(group, table) for name, group in self.groups.items()}
         return rates, used
 
     def describe_gaps(

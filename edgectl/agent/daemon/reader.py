@@ -148,7 +148,7 @@ def _measure_since_start(
     return dict(
         task.compute_traffic(held, flows, addresses, seconds),
         partial=task.describe_gap(held, find_sockets(busy=False), addresses),
-        used_cores=task.compute_cores(group, table, {}, seconds),
+        used_cores=task.compute_cores(task.collect_cpu_s(group, table), table, {}, seconds),
         used_bytes=task.read_task_memory(group, table),
     )
 

@@ -12,7 +12,7 @@ from ..link import boot, protocol
 from ..link.fast_json import Document
 from ..ros import facts, local
 from ..supervise import logind, scope, shell, state_dir
-from . import device, network
+from . import device, network, proc
 
 ROS_VARIABLES = ("ROS_MASTER_URI", "ROS_DOMAIN_ID", "RMW_IMPLEMENTATION")
 _CONNECT_S = 1.0
@@ -47,6 +47,11 @@ def collect_facts(request: Document) -> Document:
         "host": request["host"],
         "python": "%d.%d.%d" % sys.version_info[:3],
         "psutil": device.find_psutil_folder() is not None,
+        "machine": {
+            "boot_id": proc.read_boot_id(),
+            "machine_id": proc.read_machine_id(),
+            "pid_namespace": proc.read_pid_namespace(),
+        },
         "logind": read_login_facts(),
         "disk": dict(
             read_disk_facts(state_dir.BASES[0]),

@@ -30,8 +30,15 @@ def probe_host(request: Document) -> Document:
     Where a resident profiler runs, its last sample is used; otherwise a sample window passes, with the checks
     running meanwhile.
     """
+    return probe_again(request, None)
+
+
+def probe_again(request: Document, meter: "WindowMeter | None") -> Document:
+    """Probe as ``probe_host``; with the meter of a probe before, over the time since then."""
     lease = _claim_lease(request)
-    measured, checks = _read_profiler(request) or _measure_window(request)
+    measured, checks = _read_profiler(request) or (
+        _measure_window(request) if meter is None else meter.measure()
+    )
     for task, values in metrics.read_tasks_metrics(request["host"], measured["tasks"]).items():
         measured["tasks"][task]["metrics"] = values
     # After the measurement, in which it would count, and for none who only reads.
@@ -148,46 +155,81 @@ def _read_profiler(request: Document) -> "tuple[Document, _RunningChecks] | None
 
 def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
     """Measure over a window: (measured part of the reply, running checks)."""
-    window = min(_MAX_WINDOW_S, max(0.05, float(request.get("window_s", 0.5))))
-    addresses = network.resolve_robots(request.get("links", []))
-    peers = network.resolve_robots(request.get("peers", []))
-    tasks = TaskMeter(request["host"], request.get("detect", []))
-    checks = _RunningChecks(request["host"], request.get("checks", []), tasks.before)
-    counted = network.start_counter_meter(state_dir.get_fleet(), addresses)
-    traffic, totals = network.TrafficMeter(dict(addresses, **peers)), network.read_interface_bytes()
-    radios = network.start_radio_meter()
-    hardware = device.start_hardware_meter()
-    udp, cpu, started = UdpMeter(), device.CpuMeter(), time.monotonic()
-    probes = network.ConnectProbes(addresses)
-    probes.wait(max(started + window, time.monotonic() + _MIN_CONNECT_S))
-    reading = cpu.measure()
-    seconds = time.monotonic() - started
-    flows, rates = traffic.flows(), network.compute_rates(totals, network.read_interface_bytes(), seconds)
-    traffic.close()
-    interfaces = network.find_interfaces(addresses)
-    datagrams = udp.find_sockets()
-    rates_counted = None if counted is None else counted.measure(addresses, interfaces)
-    measured = tasks.measure(flows, datagrams, addresses, seconds, rates_counted)
-    probes.close(addresses)
-    wireless = {} if radios is None else radios.measure()
-    return {
-        "psutil": device.find_psutil_folder() is not None,
-        "window_s": round(seconds, 4),
-        "cpu": reading,
-        "memory": device.read_memory(),
-        "temperature_c": device.read_temperature_c(),
-        **device.measure_hardware(hardware),
-        "interfaces": {
-            name: network.build_interface_entry(rate, network.read_interface_speed(name), wireless.get(name))
-            for name, rate in rates.items()
-        },
-        "links": network.build_links(
-            addresses, flows, probes, traffic.seconds, interfaces, datagrams, rates_counted
-        ),
-        "counters": "" if rates_counted is None else rates_counted.state,
-        "peers": network.build_peers(peers, flows, traffic.seconds),
-        "tasks": measured,
-    }, checks
+    meter = WindowMeter(request)
+    try:
+        return meter.measure()
+    finally:
+        meter.close()
+
+
+class WindowMeter:
+    """Meter of this host: of a window, and with each further call since the one before."""
+
+    def __init__(self, request: Document) -> None:
+        self._request = request
+        self._window = min(_MAX_WINDOW_S, max(0.05, float(request.get("window_s", 0.5))))
+        self._began = 0.0
+
+    def measure(self) -> "tuple[Document, _RunningChecks]":
+        """Let a window pass and measure: (measured part of the reply, running checks)."""
+        due = time.monotonic() + self._window
+        if not self._began:
+            self._begin()
+            due = self._began + self._window
+        checks = _RunningChecks(self._tasks.host, self._request.get("checks", []), self._tasks.before)
+        probes = network.ConnectProbes(self._addresses)
+        probes.wait(max(due, time.monotonic() + _MIN_CONNECT_S))
+        return self._read(probes), checks
+
+    def close(self) -> None:
+        """Listen no longer for connections that are closed."""
+        if self._began:
+            self._traffic.close()
+
+    def _begin(self) -> None:
+        request = self._request
+        self._addresses = network.resolve_robots(request.get("links", []))
+        self._peers = network.resolve_robots(request.get("peers", []))
+        self._tasks = TaskMeter(request["host"], request.get("detect", []))
+        self._counted = network.start_counter_meter(state_dir.get_fleet(), self._addresses)
+        self._traffic = network.TrafficMeter(dict(self._addresses, **self._peers))
+        self._totals = network.read_interface_bytes()
+        self._radios = network.start_radio_meter()
+        self._hardware = device.start_hardware_meter()
+        self._udp, self._cpu, self._began = UdpMeter(), device.CpuMeter(), time.monotonic()
+
+    def _read(self, probes: network.ConnectProbes) -> Document:
+        addresses, cpu = self._addresses, self._cpu.measure()
+        since, self._began = self._began, time.monotonic()
+        seconds, then = self._began - since, self._totals
+        flows, self._totals = self._traffic.flows(), network.read_interface_bytes()
+        rates = network.compute_rates(then, self._totals, seconds)
+        interfaces = network.find_interfaces(addresses)
+        datagrams = self._udp.find_sockets()
+        counted = None if self._counted is None else self._counted.measure(addresses, interfaces)
+        measured = self._tasks.measure(flows, datagrams, addresses, seconds, counted)
+        probes.close(addresses)
+        wireless = {} if self._radios is None else self._radios.measure()
+        return {
+            "psutil": device.find_psutil_folder() is not None,
+            "window_s": round(seconds, 4),
+            "cpu": cpu,
+            "memory": device.read_memory(),
+            "temperature_c": device.read_temperature_c(),
+            **device.measure_hardware(self._hardware),
+            "interfaces": {
+                name: network.build_interface_entry(
+                    rate, network.read_interface_speed(name), wireless.get(name)
+                )
+                for name, rate in rates.items()
+            },
+            "links": network.build_links(
+                addresses, flows, probes, self._traffic.seconds, interfaces, datagrams, counted
+            ),
+            "counters": "" if counted is None else counted.state,
+            "peers": network.build_peers(self._peers, flows, self._traffic.seconds),
+            "tasks": measured,
+        }
 
 
 def _list_generations(hosts: "list[str]", measured: "dict[str, Document]") -> "dict[str, int]":

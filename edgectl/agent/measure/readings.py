@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Operation ``readings``: probes one after the other; what changed beyond its noise is sent (ADR 169).
 
-The first reply is a whole one. A later one has ``changed``: the keys that differ from the probe sent before;
-or it is empty, now and then: everything is as it was, within the noise.
+The first reply is a whole one. A later one has ``changed``: the keys that differ from what was sent before,
+by more than the noise; or it is empty, now and then: everything is as it was.
 """
 
 import _signal as signal
@@ -12,7 +12,7 @@ import time
 
 from ..link import protocol
 from ..link.fast_json import Document, dumps
-from .probe import probe_host
+from .probe import WindowMeter, probe_again, probe_host
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -58,7 +58,9 @@ def send_readings(request: Document, channel: "Channel") -> None:
     OSError where the reader has gone.
     """
     every, rounds, began = float(request["every_s"]), int(request["rounds"]), time.monotonic()
-    base = probe_host(request)
+    # Windows without gaps: half the reads, and what is short counts too.
+    meter = WindowMeter(request)
+    base = probe_again(request, meter)
     base_at = said_at = time.monotonic()
     channel.reply(dumps(base).encode("ascii"))
     # The deadline was that of the first reply.
@@ -66,11 +68,11 @@ def send_readings(request: Document, channel: "Channel") -> None:
     for number in range(1, rounds):
         # What took too long is not made up for.
         _pause(channel.fd, max(began + number * every, time.monotonic() + every / 2))
-        now = probe_host(request)
+        now = probe_again(request, meter)
         at = time.monotonic()
         said = build_update(base, now, at - base_at)
         if said:
-            base, base_at = now, at
+            base, base_at = merge_update(base, said), at
         elif at - said_at + every / 2 < protocol.READING_SAID_S:
             continue
         channel.reply(dumps(said).encode("ascii"))
@@ -86,13 +88,27 @@ def _pause(fd: int, until: float) -> None:
 
 
 def build_update(before: Document, now: Document, elapsed: float) -> Document:
-    """Build what is sent of the probe ``now``, ``elapsed`` s after ``before``: {} where it says the same."""
+    """Build what is sent of the probe ``now``, ``elapsed`` s after what was sent ``before``: {} where it says
+    the same.
+
+    A key is sent where its value would be wrong as it was: by more than its noise, or an age by the time
+    since.
+    """
     if not _differs("", before, now, elapsed):
         return {}
-    return {
-        "changed": {key: value for key, value in now.items() if key not in before or before[key] != value},
-        "gone": [key for key in before if key not in now],
+    changed = {
+        key: value
+        for key, value in now.items()
+        if key not in before or _differs(key, before[key], value, 0.0)
     }
+    return {"changed": changed, "gone": [key for key in before if key not in now]}
+
+
+def merge_update(before: Document, update: Document) -> Document:
+    """What the manager knows, once an update has come."""
+    return dict(
+        {key: value for key, value in before.items() if key not in update["gone"]}, **update["changed"]
+    )
 
 
 def _differs(key: str, before: "Any", now: "Any", elapsed: float) -> bool:

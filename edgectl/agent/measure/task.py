@@ -96,7 +96,7 @@ def _may_any_live(host: str, names: "list[str]") -> bool:
 
 
 class TaskMeter:
-    """Meter of the tasks of one host between its creation and ``measure``."""
+    """Meter of the tasks of one host since its creation or its last measurement."""
 
     def __init__(self, host: str, detect: "list[Document]") -> None:
         self.host, self.detect = host, detect
@@ -119,13 +119,15 @@ class TaskMeter:
         counted: "Rates | None" = None,
     ) -> "dict[str, Document]":
         """Measure: task -> entry with rates."""
-        found = {}
+        found, then, self.before = {}, self.before, {}
+        self.names = state_dir.list_task_names(self.host)
         for table, name, group in self._find_groups():
+            self.before[name] = collect_cpu_s(group, table)
             held = list_sockets(group.pids) if flows or udp else set()
             seen = None if counted is None else counted.find_group(group.pids)
             found[name] = dict(
                 group.entry,
-                used_cores=compute_cores(group, table, self.before.get(name, {}), seconds),
+                used_cores=compute_cores(self.before[name], table, then.get(name, {}), seconds),
                 used_bytes=read_task_memory(group, table),
                 partial=describe_gap(held, udp, addresses, counted, seen),
                 **build_traffic_entry(compute_traffic(held, flows, addresses, seconds, seen)),
@@ -150,14 +152,13 @@ def collect_cpu_s(group: TaskProcesses, table: "dict[int, proc.Process]") -> "di
 
 
 def compute_cores(
-    group: TaskProcesses, table: "dict[int, proc.Process]", then: "dict[int, float]", seconds: float
+    now: "dict[int, float]", table: "dict[int, proc.Process]", then: "dict[int, float]", seconds: float
 ) -> float:
-    """Compute the cores in use since ``then`` (CPU seconds by pid), which was ``seconds`` ago.
+    """Compute the cores in use from ``then`` to ``now`` (CPU seconds by pid), which are ``seconds`` apart.
 
     A process that is missing in ``then`` counts with the part of its time that falls into the window on
     average.
     """
-    now = collect_cpu_s(group, table)
     used = sum(now.values()) - sum(then.values())
     for pid in set(now) - set(then):
         used -= now[pid] * (1.0 - min(1.0, seconds / max(1e-3, proc.age_s_from_ticks(table[pid].ticks))))

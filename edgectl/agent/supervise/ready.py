@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 
 # From one try to the next: a share of the time since the start, so that ready is seen at most so late; and a
 # multiple of the time that the last one took, for one that sources the files of ROS needs a core.
-_SHARE, _COST = 0.15, 4.0
-_MIN_PAUSE_S, _MAX_PAUSE_S, _MAX_TRY_S = 0.2, 5.0, 10.0
+_SHARE, _COST = 0.1, 4.0
+_MIN_PAUSE_S, _MAX_PAUSE_S, _MAX_TRY_S = 0.1, 5.0, 10.0
 # Nothing tells the end of the check's process; so often it is looked for.
 _POLL_S = 0.5
 

@@ -11,7 +11,8 @@ from ..measure import proc
 from . import liveness, records, state_dir
 from .liveness import InstanceRecord
 
-_POLL_S = 0.1
+# From one look at what is waited for to the next: a share of the time since, within bounds.
+_POLL_SHARE, _MIN_POLL_S, _MAX_POLL_S = 0.05, 0.02, 0.1
 # A command that cannot start ends within this time; until then, running is no evidence.
 _SETTLE_S = 0.3
 
@@ -69,7 +70,8 @@ def wait_for_task(request: Document) -> Document:
 
     Else at the timeout, with ``settled`` false.
     """
-    deadline = time.monotonic() + float(request["timeout_s"])
+    began = time.monotonic()
+    deadline = began + float(request["timeout_s"])
     while True:
         record, alive = find_current(request["host"], request["task"])
         document = liveness.build_entry(record, alive) if record is not None else {}
@@ -78,7 +80,7 @@ def wait_for_task(request: Document) -> Document:
         settled = record is not None and _is_settled(record, document, float(request.get("up_s") or 0.0))
         if not alive or settled or time.monotonic() >= deadline:
             return dict(document, settled=settled)
-        time.sleep(_POLL_S)
+        time.sleep(min(_MAX_POLL_S, max(_MIN_POLL_S, _POLL_SHARE * (time.monotonic() - began))))
 
 
 def _is_settled(record: InstanceRecord, document: Document, up_s: float) -> bool:
