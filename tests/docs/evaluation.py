@@ -34,6 +34,8 @@ from tests.experiments.lab.disturbances import (
     measure_repetition,
 )
 from tests.experiments.lab.machine import FILE_NAME, MachineSample, load_samples
+from tests.experiments.sensitivity import load as load_sensitivity
+from tests.experiments.whereabouts import SEEDS, render_model, render_whereabouts
 
 ROOT = Path(__file__).parents[2]
 PAGE, RUN, FIGURES = ROOT / "docs" / "evaluation.md", ROOT / "docs" / "experiment", ROOT / "docs" / "figures"
@@ -41,6 +43,10 @@ DRAWN = ("latency.svg", "cpu.svg", "gantt.svg", "metric-1.svg")
 # Of the plan: utility all against this scheme.
 HYPOTHESES = {"H1, primary": "static", "H2": "local", "H3": "least-loaded"}
 _PART = re.compile(r"(<!-- from the run: (\w+) -->\n).*?(<!-- end -->\n)", re.DOTALL)
+_MODEL = re.compile(r"(<!-- from the model -->\n).*?(<!-- end -->\n)", re.DOTALL)
+_LINKS = re.compile(r"(<!-- from the model: changing links -->\n).*?(<!-- end -->\n)", re.DOTALL)
+# The world of the sensitivity that is the scenario as it is shipped.
+SHIPPED = {"radio": "separate", "robot_cores": "1", "link_ratio": "10"}
 _EXACT = re.compile(r"(<!-- exact -->\n```console\n)(.*?)(^```$)", re.MULTILINE | re.DOTALL)
 
 
@@ -50,6 +56,27 @@ def write_parts(text: str, directory: Path) -> str:
     return _PART.sub(
         lambda part: part[1] + (status if part[2] == "status" else PARTS[part[2]](run)) + part[3], text
     )
+
+
+def write_model(text: str) -> str:
+    """The page with what the model of the patrol says now of where tasks stand."""
+    return _MODEL.sub(lambda part: part[1] + render_model(SEEDS) + part[2], text)
+
+
+def write_changing_links(text: str) -> str:
+    """The page with the committed results of the mission on changing links."""
+    return _LINKS.sub(lambda part: part[1] + render_changing_links() + part[2], text)
+
+
+def render_changing_links() -> str:
+    """Mission time in min and handoffs by scheme, of the world that the scenario is as it is shipped."""
+    sweep, results = load_sensitivity()
+    world = next(each for each in sweep.worlds if each.settings == SHIPPED)
+    lines = ["| scheme | latency min | handoffs |\n", "|---|---:|---:|\n"]
+    for name, found in results[world.digest].schemes.items():
+        time, moves = compute_estimate(found.latency), compute_estimate(found.handoffs).mean
+        lines.append(f"| {name} | {time.mean / 60:.1f}±{time.half_ci95 / 60:.1f} | {moves:.1f} |\n")
+    return "".join(lines)
 
 
 def describe_status(directory: Path) -> str:
@@ -190,6 +217,7 @@ PARTS: Mapping[str, Callable[[ExperimentRun], str]] = {
     "hypotheses": render_hypotheses,
     "ages": render_ages,
     "periods": render_periods,
+    "whereabouts": render_whereabouts,
 }
 
 
@@ -240,7 +268,8 @@ def write_page(page: Path, run: Path, figures: Path) -> None:
     """Draw the figures of the run, then write the parts and the outputs of the page."""
     with tempfile.TemporaryDirectory(prefix="edgectl-evaluation-") as directory:
         draw_figures(run, figures, Path(directory))
-        page.write_text(write_exact_blocks(write_parts(page.read_text(), run), Path(directory) / "state"))
+        text = write_changing_links(write_model(write_parts(page.read_text(), run)))
+        page.write_text(write_exact_blocks(text, Path(directory) / "state"))
 
 
 def main() -> None:
