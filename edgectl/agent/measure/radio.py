@@ -7,11 +7,12 @@ It is a nominal rate, above what TCP gets, and a live one: drivers lower it with
 import os
 
 from . import proc
-from .sockets import socket, struct
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+    from .wireless import RadioMeter
 
 # ioctl SIOCGIWRATE of the wireless extensions; struct iwreq is a name of 16 bytes and a struct iw_param.
 _GET_RATE = 0x8B21
@@ -37,6 +38,15 @@ def list_radios() -> "list[str]":
     ]
 
 
+def start_radio_meter() -> "RadioMeter | None":
+    """Start the meter of the radios; None where this host has none."""
+    if not list_radios():
+        return None
+    from .wireless import RadioMeter
+
+    return RadioMeter()
+
+
 def read_rates(wanted: "Iterable[str | None]") -> "dict[str | None, float]":
     """Read bytes/s by interface, of those ``wanted`` that are radios and state a rate."""
     names = set(wanted) - {None}
@@ -51,6 +61,9 @@ def _read_rate(name: str) -> float:
 def _ask_driver(name: str) -> float:
     """Ask by ioctl, which starts no process; 0 where the kernel has no wireless extensions."""
     import fcntl
+
+    # Few hosts get here, and each library that a probe loads costs it 0.2 ms.
+    from .sockets import socket, struct
 
     probe = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
