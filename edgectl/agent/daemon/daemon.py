@@ -13,7 +13,7 @@ import time
 
 from ..link import fast_json, heartbeat
 from ..link.fast_json import Document
-from ..measure import device, interfaces, network, proc, radio
+from ..measure import device, interfaces, network, proc
 from ..measure.udp import UdpMeter
 from ..supervise import state_dir
 from . import pidfile, sample_ring
@@ -85,7 +85,7 @@ class ProfilerDaemon:
         self.traffic = network.TrafficMeter(dict(self.addresses, **self.peers))
         self.udp = UdpMeter()
         self.counted: "CounterMeter | None" = None
-        self.wireless = radio.start_radio_meter()
+        self.wireless = interfaces.start_radio_meter()
         self.hardware = device.start_hardware_meter()
         self.rates: "Document | None" = None
         self.number = 0

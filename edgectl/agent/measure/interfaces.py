@@ -4,7 +4,11 @@
 import os
 
 from ..link.fast_json import Document
-from . import proc
+from . import proc, radio
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from .wireless import RadioMeter
 
 
 def read_interface_bytes() -> "dict[str, tuple[int, int]]":
@@ -26,6 +30,15 @@ def compute_rates(
         then = before.get(name, now)
         found[name] = {"rx": max(0, now[0] - then[0]) / seconds, "tx": max(0, now[1] - then[1]) / seconds}
     return found
+
+
+def start_radio_meter() -> "RadioMeter | None":
+    """Start the meter of the radios; None where this host has none."""
+    if not radio.list_radios():
+        return None
+    from .wireless import RadioMeter
+
+    return RadioMeter()
 
 
 def build_interface_entry(

@@ -8,7 +8,7 @@ import time
 from ..link import protocol
 from ..link.fast_json import Document
 from ..supervise import adoption, grants, lockfile, other_tasks, state_dir, status
-from . import device, interfaces, metrics, proc, radio
+from . import device, interfaces, metrics, proc
 from .task import TaskMeter
 
 TYPE_CHECKING = False
@@ -211,7 +211,7 @@ class WindowMeter:
         if self._links is not None:
             self._links.begin()
         self._totals = interfaces.read_interface_bytes()
-        self._radios = radio.start_radio_meter()
+        self._radios = interfaces.start_radio_meter()
         self._hardware = device.start_hardware_meter()
         self._cpu, self._began = device.CpuMeter(), time.monotonic()
 

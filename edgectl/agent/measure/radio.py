@@ -12,8 +12,6 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from .wireless import RadioMeter
-
 # ioctl SIOCGIWRATE of the wireless extensions; struct iwreq is a name of 16 bytes and a struct iw_param.
 _GET_RATE = 0x8B21
 _IW_TIMEOUT_S = 1.0
@@ -36,15 +34,6 @@ def list_radios() -> "list[str]":
         or os.path.isdir(os.path.join(folder, name, "wireless"))
         or os.path.exists(os.path.join(folder, name, "phy80211"))
     ]
-
-
-def start_radio_meter() -> "RadioMeter | None":
-    """Start the meter of the radios; None where this host has none."""
-    if not list_radios():
-        return None
-    from .wireless import RadioMeter
-
-    return RadioMeter()
 
 
 def read_rates(wanted: "Iterable[str | None]") -> "dict[str | None, float]":
