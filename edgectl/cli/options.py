@@ -101,7 +101,7 @@ ItemOutput = Annotated[OutputFormat, build_output_option(ITEM_FORMATS)]
 ValidateOutput = Annotated[OutputFormat, build_output_option(VALIDATION_FORMATS)]
 
 SnapshotOption = Annotated[
-    Path | None, Option("--snapshot", metavar="FILE", help="Plan from this file; no host is contacted.")
+    Path | None, Option("--snapshot", metavar="FILE", help="Plan from this file (-: stdin); contact no host.")
 ]
 WeightsOption = Annotated[
     str | None,
