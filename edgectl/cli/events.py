@@ -124,8 +124,10 @@ def _test_hooks(fleet: Fleet, kind: EventKind | None, output: OutputFormat, *, d
             hint="add on_event: [{command: [..]}] to the inventory",
         )
     if dry_run:
+        from edgectl.views.marks import DRY_RUN_SUFFIX
+
         for hook in hooks:
-            console.print_text(f"{name_program(hook)} run{options.DRY_RUN_SUFFIX}\n")
+            console.print_text(f"{name_program(hook)} run{DRY_RUN_SUFFIX}\n")
         return ExitCode.DONE
     trials = run_hook_trials(fleet, kind)
     rows = [(trial.hook, trial.failure, trial.seconds) for trial in trials]

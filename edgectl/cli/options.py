@@ -242,8 +242,6 @@ TasksArgument = Annotated[
 Shell = Literal["bash", "zsh", "fish"]
 DryRunOption = Annotated[bool, Option("--dry-run", help="Only print the exact remote commands.")]
 DryRunMarkOption = Annotated[bool, Option("--dry-run", help="Only check and print; change nothing.")]
-# After what a dry run would have done, as kubectl prints it.
-DRY_RUN_SUFFIX = " (dry run)"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
