@@ -172,10 +172,21 @@ GROUP_HELP: dict[str, str] = {
 }
 # Examples of a command group, a line each.
 GROUP_EXAMPLES: dict[str, tuple[str, ...]] = {
+    "describe": ("edgectl describe task detection-robot1",),
+    "top": ("edgectl top", "edgectl top -w", "edgectl top tasks -o wide"),
+    "profilers": ("edgectl profilers start", "edgectl profilers status"),
+    "counters": ("edgectl counters install", "edgectl counters show"),
+    "import": ("edgectl import ros bringup.launch rate:=2", "edgectl import ssh 'jetson-*'"),
+    "export": ("edgectl export cron --every 15m", "edgectl export csv tasks --since 1h"),
+    "experiment": (
+        "edgectl experiment run tasks/patrol/experiment.yaml --dry-run",
+        "edgectl experiment show docs/examples/run",
+    ),
     "simulate": (
         "edgectl simulate docs/scenarios/paper-2.yaml --runs 2",
         "edgectl simulate sweep docs/scenarios/sweep-robots.yaml",
     ),
+    "config": ("edgectl config view --origin", "edgectl config get-contexts"),
 }
 SUMMARY = "Place robot tasks on edge computers by measured utility: probe, plan, apply, over SSH."
 EPILOG = (

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from typer import Argument, Exit, Option
 
 from edgectl.cli import console, options
-from edgectl.cli.completion import complete_hosts, complete_tasks
+from edgectl.cli.completion import complete_entries, complete_hosts
 from edgectl.cli.signals import catch_stop_signals
 from edgectl.cli.task_names import check_task_names, expand_task_names
 from edgectl.cli.user_files import load_inputs
@@ -33,7 +33,7 @@ _TaskOption = Annotated[
     Option(
         "--task",
         metavar="TASK",
-        autocompletion=complete_tasks,
+        autocompletion=complete_entries,
         parser=options.strip_task_kind,
         help="Only events of this task.",
     ),

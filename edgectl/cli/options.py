@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, get_origin
 from typer import Argument, Option
 
 from edgectl.cli.completion import (
+    complete_entries,
     complete_hosts,
     complete_labels,
     complete_policies,
@@ -143,7 +144,7 @@ WithoutOption = Annotated[
 ]
 TargetOption = Annotated[
     list[str] | None,
-    Option("--target", metavar="TASK", autocompletion=complete_tasks, help="Only this task; repeatable."),
+    Option("--target", metavar="TASK", autocompletion=complete_entries, help="Only this task; repeatable."),
 ]
 SortByOption = Annotated[
     str | None, Option("--sort-by", metavar="KEY", help="By a key of -o json, such as cpu.used_cores.")
@@ -233,7 +234,7 @@ TasksArgument = Annotated[
     list[str] | None,
     Argument(
         metavar="[TASK...]",
-        autocompletion=complete_tasks,
+        autocompletion=complete_entries,
         parser=strip_task_kind,
         help="Names of tasks.",
         show_default=False,
