@@ -121,7 +121,7 @@ def import_ssh_command(
 ) -> None:
     """Make an inventory of hosts in the ssh_config, with the files that it includes.
 
-    The inventory names the aliases; what the ssh_config says of them stays there and counts.
+    The inventory names the aliases; their settings stay in the ssh_config and apply.
 
     Examples:
         edgectl import ssh 'jetson-*'

@@ -67,7 +67,7 @@ def test_a_saved_plan_is_shown_as_it_was_printed(run: Run, site: Path) -> None:
         "saved next.plan; apply it with: edgectl apply next.plan\nnote: slam-robot1 "
     )
     # A plan holds no commands, so it does not know what a move takes along; the first line has the age.
-    parts = [part for part in printed.out.split("\n\n") if not part.startswith("What moves take along")]
+    parts = [part for part in printed.out.split("\n\n") if not part.startswith("State that moves transfer")]
     assert run("show", "next.plan", "-o", "wide").out.splitlines()[1:] == "\n\n".join(parts).splitlines()[1:]
     assert run("show", "next.plan", "--detailed-exitcode").code == 2
     assert (site / "next.plan").read_text() == run(*PLAN, "-o", "json").out

@@ -157,7 +157,9 @@ def _simulate(
         yield from simulate_on_cores(worlds, workers or count_cores(), print_warning)
         return
     if workers is not None:
-        raise UsageError(f"--workers is not for --on {engine}", hint="the cluster says how many it has")
+        raise UsageError(
+            f"--workers is not for --on {engine}", hint="drop it: the cluster uses all of its cores"
+        )
     with require_extra(engine.value):
         if engine is Engine.RAY:
             from edgectl.experiments.sweep_ray import simulate_on_ray as simulate
