@@ -52,7 +52,7 @@ _NamesArgument = Annotated[
     Argument(
         metavar="[NAME...]",
         autocompletion=_complete_names,
-        help="Only these names; of links, an end.",
+        help="Only these names; of links, either end.",
         show_default=False,
     ),
 ]
@@ -76,7 +76,7 @@ def get_command(
     """List hosts, edges, robots, tasks or links from a probe, or all of these. With -w, also print a line at
     each change that is not a measurement.
 
-    Selectors know host, kind and state, of tasks also robot and task, besides the labels of the files.
+    Selectors match the labels of the files, host, kind and state; of tasks also robot and task.
 
     With -w, -o json prints one object per line: {"type": "ADDED", "MODIFIED" or "DELETED", "at": ..,
     "object": ..}.

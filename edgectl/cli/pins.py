@@ -18,7 +18,7 @@ def move_command(
     task: options.TaskArgument,
     host: options.HostArgument,
     duration: Annotated[
-        str | None, Option("--for", metavar="TIME", help="How long it stays there; else until unpin.")
+        str | None, Option("--for", metavar="TIME", help="How long the pin lasts; default: until unpin.")
     ] = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,

@@ -27,7 +27,7 @@ def serve_command(
     ] = "9816",
     token_file: Annotated[
         Path | None,
-        Option("--token-file", metavar="FILE", help="Ask for its token; made if missing (mode 0600)."),
+        Option("--token-file", metavar="FILE", help="Ask for its token; created if missing (0600)."),
     ] = None,
     every: Annotated[str, Option("--every", metavar="TIME", help="Time between probes.")] = "5s",
     timeout: options.TimeoutOption = "8s",

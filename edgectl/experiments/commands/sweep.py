@@ -64,8 +64,8 @@ def simulate_sweep_command(
 ) -> None:
     """Simulate a mission under several schemes in all worlds of a sweep file, on all cores.
 
-    Every result is a file named by the digest of its world: what is there is not computed again, and an
-    interrupted sweep resumes when the command is repeated. Requires the extra evidence.
+    Results are files named by the digest of their world. Existing ones are not computed again: to resume an
+    interrupted sweep, repeat the command. Requires the extra evidence.
 
     Examples:
         edgectl simulate sweep docs/scenarios/sweep-robots.yaml
@@ -117,7 +117,7 @@ def simulate_merge_command(
     ] = None,
     output: options.WideOutput = OutputFormat.TABLE,
 ) -> None:
-    """Merge the results of the shards of a sweep; the same bytes, however many machines made them.
+    """Merge the results of the shards of a sweep. The bytes do not depend on the number of shards.
 
     Examples:
         edgectl simulate merge docs/scenarios/sweep-robots.yaml part-1 part-2
