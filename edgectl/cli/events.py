@@ -113,7 +113,7 @@ def _test_hooks(fleet: Fleet, kind: EventKind | None, output: OutputFormat, *, d
         UsageError: no hook would run.
     """
     from edgectl.usecases.event_delivery import list_tested_hooks, run_hook_trials
-    from edgectl.views.hook_trials import HookTrialsView, name_program
+    from edgectl.views.hook_trials import HookTrialsView
 
     hooks = list_tested_hooks(fleet, kind)
     if not hooks:
@@ -124,10 +124,8 @@ def _test_hooks(fleet: Fleet, kind: EventKind | None, output: OutputFormat, *, d
             hint="add on_event: [{command: [..]}] to the inventory",
         )
     if dry_run:
-        from edgectl.views.marks import DRY_RUN_SUFFIX
-
-        for hook in hooks:
-            console.print_text(f"{name_program(hook)} run{DRY_RUN_SUFFIX}\n")
+        planned = HookTrialsView([(hook, "", 0.0) for hook in hooks], dry_run=True)
+        console.print_view(planned, output)
         return ExitCode.DONE
     trials = run_hook_trials(fleet, kind)
     rows = [(trial.hook, trial.failure, trial.seconds) for trial in trials]
