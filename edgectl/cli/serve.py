@@ -57,7 +57,7 @@ def serve_command(
     if token_file is None and not is_loopback_address(host):
         raise UsageError(
             f"--listen {listen}: other machines are served only with a token",
-            hint=f"add --token-file FILE, or listen on 127.0.0.1:{port} and forward it from the other machine: "
+            hint=f"add --token-file FILE, or listen on 127.0.0.1:{port} and forward it from there: "
             f"ssh -L {port}:127.0.0.1:{port} MANAGER",
         )
     period = parse_every_option(every)
