@@ -40,6 +40,16 @@ def test_the_rate_counts_from_where_the_path_was_full() -> None:
     assert found == {"bytes_per_s": pytest.approx(0.3 * RATE, rel=0.01), "full": True}
 
 
+def test_of_bursts_that_grow_each_passes_in_the_time_until_the_next() -> None:
+    """As a class of HTB lets large segments pass: each part takes 4 ms, after it has passed."""
+    seen, at = [Moment(0, 0.0, True)], 0.0
+    for parts in (1, 2, 3, 4, 5, 6):
+        at += 0.004 * (parts - 1)
+        seen.append(Moment(seen[-1].count + parts * 10_000, at, True, burst=True))
+    found = summarize_moments(seen, 3, RATE)
+    assert found == {"bytes_per_s": pytest.approx(10_000 / 0.004, rel=0.01), "full": True}
+
+
 @pytest.mark.parametrize(("moments", "full"), [(1, 0), (3, 0), (10, 9)])
 def test_too_little_says_nothing(moments: int, full: int) -> None:
     found = summarize_moments(send([0.5] * moments)[:moments], full, RATE)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An edge and a robot in network namespaces of their own, with a cable between them that tbf shapes. Needs root."""
+"""An edge and a robot in network namespaces of their own, with a cable between them that tbf or htb shapes. Needs root."""
 
 import json
 import os
@@ -71,6 +71,14 @@ while True:
     time.sleep(max(0.15, began + 0.2 - time.monotonic()))
 """
 
+_SHAPES = {
+    "tbf": ("qdisc add dev {name} root tbf rate {mbit}mbit burst 16kb latency 100ms",),
+    "htb": (
+        "qdisc add dev {name} root handle 1: htb default 1",
+        "class add dev {name} parent 1: classid 1:1 htb rate {mbit}mbit burst 16kb",
+    ),
+}
+
 
 def find_missing() -> str:
     """Why there can be no such network here; empty if there can."""
@@ -108,11 +116,12 @@ class ShapedNetwork(LocalTransport):
         """The address on the cable."""
         return self.addresses[host.name]
 
-    def shape(self, mbit: float) -> None:
-        """Let the cable carry so many Mbit/s in each direction."""
+    def shape(self, mbit: float, by: str = "tbf") -> None:
+        """Let the cable carry so many Mbit/s in each direction, by a bucket or by a class of ``htb``."""
         for name, pid in self.spaces.items():
-            words = f"qdisc replace dev {name} root tbf rate {mbit}mbit burst 16kb latency 100ms"
-            assert not run_tc(*words.split(), netns=pid)
+            run_tc("qdisc", "del", "dev", name, "root", netns=pid)
+            for words in _SHAPES[by]:
+                assert not run_tc(*words.format(name=name, mbit=mbit).split(), netns=pid)
 
     @contextmanager
     def cut(self) -> Iterator[None]:

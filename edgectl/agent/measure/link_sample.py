@@ -30,6 +30,9 @@ _MIN_TAIL_BYTES, _MIN_TAIL_S = 4096, 0.02
 # Shares: of the rate that was asked for, below which it is not the limit; by which a steady rate varies; of
 # the moments at which the device is the limit.
 _LIMITED_SHARE, _STEADY_SHARE, _HELD_SHARE = 0.9, 0.15, 0.5
+# Bytes that were confirmed at once are a burst from so many on, after silence for this share of the time
+# since the moment before.
+_MIN_BURST_BYTES, _SILENT_SHARE = 8192, 0.5
 
 
 def sample_link(request: Document) -> Document:
@@ -62,13 +65,14 @@ def sample_link(request: Document) -> Document:
 class Moment:
     """What TCP had done after ``seconds`` in which it could send: ``count`` bytes confirmed.
 
-    ``held``: its own device was the limit, or the rate that was asked for.
+    ``held``: its own device was the limit, or the rate that was asked for. ``burst``: much was confirmed at
+    once, after none for most of the time since the moment before, although somebody looked.
     """
 
-    __slots__ = ("count", "held", "seconds")
+    __slots__ = ("burst", "count", "held", "seconds")
 
-    def __init__(self, count: int, seconds: float, held: bool) -> None:
-        self.count, self.seconds, self.held = count, seconds, held
+    def __init__(self, count: int, seconds: float, held: bool, burst: bool = False) -> None:
+        self.count, self.seconds, self.held, self.burst = count, seconds, held, burst
 
 
 def _send_and_watch(peer: "socket.socket", seconds: float, rate: float) -> Document:
@@ -80,15 +84,21 @@ def _send_and_watch(peer: "socket.socket", seconds: float, rate: float) -> Docum
     # A moment for each time that more was confirmed; of them the first with the path full.
     seen, full = [_note_moment(_read_info(peer))], 0
     end = seen[0].count + most
+    changed = looked = began
     while time.monotonic() - began < seconds and seen[-1].count < end:
         if left > 0 and poll.poll(_LOOK_S * 1000):
             left -= _send(peer, block[: min(left, _BUFFER_BYTES)])
         time.sleep(_LOOK_S)
         info = _read_info(peer)
         moment = _note_moment(info)
+        now = time.monotonic()
         if moment.count > seen[-1].count:
+            silent = looked - changed > _SILENT_SHARE * (now - changed)
+            moment.burst = silent and moment.count - seen[-1].count >= _MIN_BURST_BYTES
             seen.append(moment)
             full = full or (len(seen) - 1 if link_rate.is_path_full(info) else 0)
+            changed = now
+        looked = now
     return summarize_moments(seen, full, rate)
 
 
@@ -115,14 +125,30 @@ def summarize_moments(seen: "list[Moment]", full: int, rate: float) -> Document:
     """
     middle = (seen[0].seconds + seen[-1].seconds) / 2
     half = seen[next(number for number, entry in enumerate(seen) if entry.seconds >= middle) :]
-    tail = seen[full:] if full else half
-    found = _compute_rate(tail)
+    start = full or len(seen) - len(half)
+    tail = seen[start:]
+    found = (
+        _compute_rate(seen[start - 1 : -1], tail)
+        if start and _is_in_bursts(tail)
+        else _compute_rate(tail, tail)
+    )
     steady = found is not None and not full and _is_steady(half, found) and found < _LIMITED_SHARE * rate
     return {"bytes_per_s": None if found is None else round(found, 1), "full": bool(full) or steady}
 
 
-def _compute_rate(seen: "list[Moment]") -> "float | None":
-    seconds, count = seen[-1].seconds - seen[0].seconds, seen[-1].count - seen[0].count
+def _is_in_bursts(tail: "list[Moment]") -> bool:
+    """Whether most of this was confirmed in bursts.
+
+    A shaper lets a large segment of TCP pass whole, and then the link rests for as long as that should have
+    taken. While TCP begins, each burst is larger than the one before: what passed in the time between two is
+    the first of them.
+    """
+    return sum(moment.burst for moment in tail) > len(tail) / 2
+
+
+def _compute_rate(counted: "list[Moment]", timed: "list[Moment]") -> "float | None":
+    """The rate of what was confirmed from the first to the last moment, by the times of others."""
+    seconds, count = timed[-1].seconds - timed[0].seconds, counted[-1].count - counted[0].count
     return count / seconds if seconds >= _MIN_TAIL_S and count >= _MIN_TAIL_BYTES else None
 
 
