@@ -12,6 +12,7 @@ import time
 
 from ..link import protocol
 from ..link.fast_json import Document, dumps
+from .link_meter import LinkMeter
 from .probe import WindowMeter, probe_again, probe_host
 
 TYPE_CHECKING = False
@@ -59,7 +60,7 @@ def send_readings(request: Document, channel: "Channel") -> None:
     """
     every, rounds, began = float(request["every_s"]), int(request["rounds"]), time.monotonic()
     # Windows without gaps: half the reads, and what is short counts too.
-    meter = WindowMeter(request)
+    meter = WindowMeter(request, LinkMeter(request))
     base = probe_again(request, meter)
     base_at = said_at = time.monotonic()
     channel.reply(dumps(base).encode("ascii"))
