@@ -299,7 +299,7 @@ class Supervisor:
         stopped = self.stopping or (not left and self._is_leaving())
         interrupted = self.command.interrupted and not stopped
         if interrupted:
-            outcome["detail"] = "told to end by its engine, or by somebody through it"
+            outcome["detail"] = "asked to end by its engine, or by someone through it"
         final = restart_policy.decide_end(self.spec, outcome, left, stopped, interrupted)
         if final is None:
             self._schedule_restart(ran_s, outcome)
