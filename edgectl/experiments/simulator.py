@@ -5,15 +5,16 @@ Every event (a job ends, a task starts or stops) recomputes the speed of all tas
 """
 
 import math
-from collections.abc import Generator, Iterable
+from collections.abc import Generator, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import simpy
 
+from edgectl.executor.dependencies import build_step_dependencies, order_by_dependencies
 from edgectl.experiments.model.mission_event import select_present_tasks
 from edgectl.experiments.model.scenario import Scenario, SimJob, SimRun, SimTiming
-from edgectl.experiments.simulator_events import start_events
+from edgectl.experiments.simulator_events import show_reading, start_events
 from edgectl.experiments.simulator_flows import get_job_speed
 from edgectl.experiments.simulator_memory import SimMemory
 from edgectl.experiments.simulator_plans import plan_cycle
@@ -79,6 +80,7 @@ def simulate_mission(
         draw_normal=draw_normal,
         draw_uniform=draw_uniform,
         changed=env.event(),
+        read=env.event(),
         reference=inventory.edges[0].name,
         meters={host: HostMeter() for host in scenario.hosts},
         memory=None if scenario.events or scenario.cycles else memory,
@@ -175,11 +177,13 @@ def _run_manager(state: SimState) -> Generator[Any, Any, None]:
         if timing.probe:
             yield state.env.timeout(timing.probe)
         plan = plan_cycle(state)
+        show_reading(state)
         state.unplaced += sum(step.action is Action.UNPLACED for step in plan)
         steps = [step for step in plan if step.action.changes]
+        if steps and timing.plan:
+            yield state.env.timeout(timing.plan)
         state.starting = {step.task for step in steps if step.decision.host is not None}
-        actions = [state.env.process(_run_step(state, step)) for step in steps]
-        yield simpy.AllOf(state.env, actions)
+        yield simpy.AllOf(state.env, begin_steps(state, steps))
         if steps and timing.apply:
             yield state.env.timeout(timing.apply)
         yield state.env.timeout(_compute_pause_s(timing, state.env.now - began))
@@ -189,13 +193,32 @@ def _compute_pause_s(timing: SimTiming, taken: float) -> float:
     return timing.every - math.fmod(taken, timing.every) if timing.paced else timing.every
 
 
-def _run_step(state: SimState, step: Step) -> Generator[Any, Any, None]:
-    """Apply one step of the plan: stop the task, then start it once its needs are ready.
+def begin_steps(state: SimState, steps: Sequence[Step]) -> list[simpy.Process]:
+    """Begin all steps: those that start something after its needs, and after the moves that leave its host,
+    in the order of the executor.
+    """
+    waits = build_step_dependencies(tuple(steps), state.tasks)
+    after = {step.task: waits[step.task].tasks if step.task in waits else frozenset() for step in steps}
+    by_name, begun = {step.task: step for step in steps}, dict[str, simpy.Process]()
+    for name in order_by_dependencies(after):
+        before = [begun[other] for other in sorted(after[name])]
+        begun[name] = state.env.process(_run_step(state, by_name[name], before))
+    return list(begun.values())
+
+
+def _run_step(state: SimState, step: Step, before: Sequence[simpy.Event]) -> Generator[Any, Any, None]:
+    """Apply one step of the plan after those ``before``: stop the task, then start it once its needs are
+    ready.
 
     A host that is lost meanwhile ends the step: nothing was stopped, or nothing runs.
     """
-    timing, began = state.scenario.timing, state.env.now
+    timing = state.scenario.timing
+    if before:
+        yield simpy.AllOf(state.env, before)
     old = state.services.get(step.task)
+    if old is not None and timing.prepare:
+        yield state.env.timeout(timing.prepare)
+    began = state.env.now
     if old is not None:
         integrate_loads(state)
         old.ready = False

@@ -137,7 +137,19 @@ BEGIN_SIMULATED: Mapping[str, Callable[[SimState, MissionEvent], None]] = {
 END_SIMULATED: Mapping[str, Callable[[SimState, MissionEvent], None]] = {"lost": _return_host}
 
 
+def show_reading(state: SimState) -> None:
+    """The manager has read the fleet: what waits for a condition looks at it now, after the plan."""
+    if state.read.callbacks:
+        state.read.succeed()
+        state.read = state.env.event()
+
+
 def _wait_for_condition(state: SimState, condition: EventCondition) -> Generator[Any, Any, None]:
+    if state.scenario.timing.by_reading:
+        yield state.read
+        while not all(_check_condition(state, condition)):
+            yield state.read
+        return
     while not all(_check_condition(state, condition)):
         changed = state.changed
         seconds = _find_next_progress_s(state, condition.progress)

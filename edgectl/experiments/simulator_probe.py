@@ -97,12 +97,19 @@ def _read_live_links(state: SimState, snapshot: Snapshot) -> Snapshot:
 def _observe_link(state: SimState, edge: str, robot: str, used: float) -> LinkObservation:
     carries = get_link_bytes_per_s(state, edge, robot)
     full = used if used >= carries * (1 - 1e-9) else None
+    filled = is_filled_at_times(state, edge, robot, carries) and _is_burst_read(state, edge, robot)
     return LinkObservation(
         used_bytes_per_s=used,
-        carries_bytes_per_s=carries if is_filled_at_times(state, edge, robot, carries) else full,
+        carries_bytes_per_s=carries if filled else full,
         interface="wlan0",
         answered=carries > 0.0,
     )
+
+
+def _is_burst_read(state: SimState, edge: str, robot: str) -> bool:
+    """Whether this window meets the middle of a burst (ADR 126)."""
+    share = state.scenario.timing.bursts
+    return share >= 1.0 or state.draw_uniform(f"burst {edge} {robot}") < share
 
 
 def _probe_link(state: SimState, edge: str, robot: str) -> LinkSampleResult:

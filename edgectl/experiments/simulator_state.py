@@ -102,6 +102,7 @@ class SimState:
     policy: Policy
     draw_normal: NormalDraw
     changed: simpy.Event
+    read: simpy.Event
     reference: str
     services: dict[str, SimTask] = field(default_factory=dict)
     cores: dict[str, float] = field(default_factory=dict)

@@ -25,6 +25,7 @@ from edgectl.experiments.scheme_comparison import MISSION_TIME, compare_schemes
 from edgectl.experiments.scheme_results import compute_estimate, summarize_trials
 from edgectl.experiments.views.answer import describe_answer
 from tests.docs.blocks import environment
+from tests.experiments.cycle_times import PILOT, render_times
 from tests.experiments.lab.disturbances import (
     ASIDE,
     BUSY_CORES,
@@ -218,6 +219,7 @@ PARTS: Mapping[str, Callable[[ExperimentRun], str]] = {
     "ages": render_ages,
     "periods": render_periods,
     "whereabouts": render_whereabouts,
+    "times": lambda run: render_times([("pilot trials", load_run(PILOT)), ("this run", run)]),
 }
 
 

@@ -78,7 +78,7 @@ def test_a_probe_of_one_host_shows_what_tasks_of_others_leave_it(radio: Radio) -
     env = simpy.Environment()
     state = SimState(
         env=env, inventory=inventory, tasks=tasks, scenario=world, policy=tasks.policy, draw_normal=lambda: 0.0,
-        changed=env.event(), reference=inventory.edges[0].name, meters={host: HostMeter() for host in world.hosts},
+        changed=env.event(), read=env.event(), reference=inventory.edges[0].name, meters={host: HostMeter() for host in world.hosts},
         memory=SimMemory(inventory=inventory, tasks=tasks, scenario=world, policy=tasks.policy),
     )  # fmt: skip
     for name, host in (("detection-robot2", "edge3"), ("detection-robot1", "edge2")):

@@ -8,6 +8,7 @@ import pytest
 from edgectl.experiments.files.run_directory import load_run
 from edgectl.experiments.model.experiment import PlacementInterval
 from tests.docs import evaluation
+from tests.experiments.cycle_times import count_burst_readings
 from tests.experiments.whereabouts import RUN, TASK, measure_whereabouts
 
 
@@ -24,6 +25,12 @@ def test_areas_and_beliefs_are_those_of_the_run() -> None:
     assert 0.0 < found.mistaken < 1.0 - found.near
     blind = replace(trial, spans=(span,), links={})
     assert measure_whereabouts(replace(run, trials=(blind,)), "static").mistaken == 0.0
+
+
+@pytest.mark.parametrize("scheme", ["static", "least-loaded", "utility all"])
+def test_the_page_says_how_often_links_in_use_were_read(scheme: str) -> None:
+    windows, read = count_burst_readings(load_run(RUN), scheme)
+    assert f"{100 * read / windows:.0f} % (`{scheme}`)" in evaluation.PAGE.read_text()
 
 
 @pytest.mark.slow

@@ -1,24 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where the detections of the patrol stand, measured and in the model: ``python -m tests.experiments.whereabouts [SEEDS]``.
 
-Most of what the model of the patrol is off by in docs/evaluation.md follows from it. ``late``: the model with
-readings of links that are as many seconds old, which the shipped simulator has no key for.
+With the rows of the model without what lies between a reading and a move (ADR 181), each left out alone, and all.
 """
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from statistics import fmean
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from unittest.mock import patch
 
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.config.weights import parse_weights
-from edgectl.experiments import simulator, simulator_events, simulator_probe
+from edgectl.experiments import simulator, simulator_events
 from edgectl.experiments.event_draws import build_uniform_draw, create_stream
 from edgectl.experiments.files.run_directory import load_run
 from edgectl.experiments.files.scenario_file import load_scenario, load_scenario_paths
@@ -34,11 +33,19 @@ POLICIES = (PolicyName.STATIC, PolicyName.LEAST_LOADED, PolicyName.UTILITY)
 TASK = "detection-"
 # bytes/s: what detection demands of a link. A far one carries half of it.
 DEMAND = 390e3
-# With readings so old the tasks of least-loaded stand in the model where they stood in the run.
-LATE_S = 8.0
-SEEDS = 4
+SEEDS = 8
 SCHEMES = ("static", "least-loaded", "utility all")
 EDGES = ("edge1", "edge2", "edge3")
+# What the manager does between a reading and a move, and what its readings miss: left out.
+AT_ONCE = {"plan": 0.0, "prepare": 0.0, "apply": 2.3}
+LINKS_AT_ONCE = {"by_reading": False}
+ALL_BURSTS = {"bursts": 1.0}
+LEFT_OUT: tuple[tuple[str, Mapping[str, Any]], ...] = (
+    ("moves begin with their plan", AT_ONCE),
+    ("links change at once", LINKS_AT_ONCE),
+    ("each burst is read", ALL_BURSTS),
+    ("all three", AT_ONCE | LINKS_AT_ONCE | ALL_BURSTS),
+)
 
 
 class Whereabouts(NamedTuple):
@@ -84,7 +91,7 @@ def measure_whereabouts(run: ExperimentRun, scheme: str) -> Whereabouts:
 def _add_span(clock: _Clock, run: ExperimentRun, trial: Trial, span: PlacementInterval) -> None:
     robot = span.task.removeprefix(TASK)
     capacities = trial.links.get(span.host, {}).get(robot, ())
-    areas = list(_list_areas(run, trial, robot))
+    areas = list(list_areas(run, trial, robot))
     cuts = sorted({span.start, span.end, *(at for at, _ in areas), *(each.at for each in capacities)})
     for begin, end in pairwise(cuts):
         if span.start <= begin < end <= span.end:
@@ -98,7 +105,7 @@ def _add_span(clock: _Clock, run: ExperimentRun, trial: Trial, span: PlacementIn
             )
 
 
-def _list_areas(run: ExperimentRun, trial: Trial, robot: str) -> Iterator[tuple[float, str]]:
+def list_areas(run: ExperimentRun, trial: Trial, robot: str) -> Iterator[tuple[float, str]]:
     """(when the robot came to an area, the edge that is near there), in order: from the commands of the events."""
     commands = {event.name: event.run for event in run.experiment.events}
     for record in sorted(trial.events, key=lambda each: each.at):
@@ -109,18 +116,19 @@ def _list_areas(run: ExperimentRun, trial: Trial, robot: str) -> Iterator[tuple[
                 yield record.at, edge
 
 
-def simulate_whereabouts(scheme: str, seeds: int, late: float = 0.0) -> Whereabouts:
-    """Those of the model, over so many runs; what was taken to carry is not looked at."""
+def simulate_whereabouts(scheme: str, seeds: int, timing: Mapping[str, Any] | None = None) -> Whereabouts:
+    """Those of the model, over so many runs; what was taken to carry is not looked at. ``timing``: other values."""
     inventory_file, tasks_file = load_scenario_paths(SCENARIO)
     assert inventory_file is not None
     assert tasks_file is not None
     inventory, tasks, _ = load_inventory_and_tasks(inventory_file, tasks_file)
     scenario = load_scenario(SCENARIO, inventory, tasks)
+    scenario = replace(scenario, timing=replace(scenario.timing, **(timing or {})))
     schemes = build_schemes(tasks.policy, POLICIES, {"all": parse_weights("all")}, [])
     policy = next(each.policy for each in schemes if each.name == scheme)
     clock, latencies = _Clock(), list[float]()
     for seed in range(seeds):
-        with _observe(clock, late):
+        with _observe(clock):
             found = simulator.simulate_mission(
                 inventory, tasks, scenario, replace(policy, seed=seed),
                 partial(create_stream(f"1/{seed}").gauss, 0.0, 1.0), build_uniform_draw(f"1/{seed}"),
@@ -130,16 +138,11 @@ def simulate_whereabouts(scheme: str, seeds: int, late: float = 0.0) -> Whereabo
 
 
 @contextmanager
-def _observe(clock: _Clock, late: float) -> Iterator[None]:
-    """Within, each change of the simulation is preceded by a look at where detections stand; readings are late."""
-    history: dict[tuple[str, str], list[tuple[float, float]]] = {}
+def _observe(clock: _Clock) -> Iterator[None]:
+    """Within, each change of the simulation is preceded by a look at where detections stand."""
 
     def look(state: SimState) -> None:
         seconds = state.env.now - state.metered_at
-        for edge, robot in state.inventory.links if seconds > 0 else ():
-            carries, known = get_link_bytes_per_s(state, edge, robot), history.setdefault((edge, robot), [])
-            if not known or known[-1][1] != carries:
-                known.append((state.metered_at, carries))
         for name, service in state.services.items():
             if seconds > 0 and name.startswith(TASK) and state.left.get(name):
                 carries = get_link_bytes_per_s(state, service.host, name.removeprefix(TASK))
@@ -147,16 +150,9 @@ def _observe(clock: _Clock, late: float) -> Iterator[None]:
                 clock.add(service.host, seconds, near=on_edge and carries >= DEMAND)
         integrate_loads(state)
 
-    def read_late(state: SimState, edge: str, robot: str) -> float:
-        known = history.get((edge, robot))
-        if not late or not known:
-            return get_link_bytes_per_s(state, edge, robot)
-        return ([known[0][1]] + [carries for at, carries in known if at <= state.env.now - late])[-1]
-
     with ExitStack() as stack:
         for module in (simulator, simulator_events):
             stack.enter_context(patch.object(module, "integrate_loads", look))
-        stack.enter_context(patch.object(simulator_probe, "get_link_bytes_per_s", read_late))
         yield
 
 
@@ -173,9 +169,11 @@ def render_whereabouts(run: ExperimentRun) -> str:
 def render_model(seeds: int) -> str:
     """What the model says of the same."""
     lines = [("in the model", "near edge", *EDGES, "mission s"), ("---", *["---:"] * (len(EDGES) + 2))]
-    for scheme, late in (*((each, 0.0) for each in SCHEMES), ("least-loaded", LATE_S)):
-        found = simulate_whereabouts(scheme, seeds, late)
-        name = f"{scheme}, readings {late:g} s old" if late else scheme
+    rows: list[tuple[str, str, Mapping[str, Any]]] = [(scheme, scheme, {}) for scheme in SCHEMES]
+    rows += [(f"least-loaded, {name}", "least-loaded", timing) for name, timing in LEFT_OUT]
+    rows.append((f"utility all, {LEFT_OUT[-1][0]}", "utility all", LEFT_OUT[-1][1]))
+    for name, scheme, timing in rows:
+        found = simulate_whereabouts(scheme, seeds, timing)
         lines.append((name, _say(found.near), *_list_hosts(found), f"{found.latency:.1f}"))
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 

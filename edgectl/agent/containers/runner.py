@@ -244,7 +244,7 @@ class ContainerRunner:
                 self._client.wait()
             call, state = engine.inspect_state(self._program, self._id)
             if call.kind == engine.GONE:
-                return self._end(_REMOVED_EXIT, "its container was removed by somebody else")
+                return self._end(_REMOVED_EXIT, "another program removed its container")
             if call.kind != engine.DONE:
                 self._note_loss(alive=bool(self._list_inside()))
                 self._client = None
@@ -285,7 +285,7 @@ def _build_hint(why: str) -> str:
     """What helps against an error of the engine."""
     words = why.lower()
     if "permission denied" in words:
-        return "add the user to the group docker there, and log in anew"
+        return "add the user to the group docker there, and log in again"
     if "no such image" in words or "not known" in words:
         return "apply pulls it: edgectl restart the task, or write pull: missing"
     return "check image, devices, volumes and args of the task"

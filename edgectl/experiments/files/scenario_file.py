@@ -69,10 +69,14 @@ TIMING_KEYS: Mapping[str, NodeReader] = {
     "stop": _read_duration_s,
     "every": quantity_reader(parse_duration, above_zero=True),
     "noise": quantity_reader(parse_share),
+    "bursts": quantity_reader(parse_share),
     "limit": quantity_reader(parse_duration, above_zero=True),
     "probe": _read_duration_s,
+    "plan": _read_duration_s,
+    "prepare": _read_duration_s,
     "apply": _read_duration_s,
     "paced": read_bool,
+    "by_reading": read_bool,
 }
 LINK_KEYS: Mapping[str, NodeReader] = {
     "edge": read_name,

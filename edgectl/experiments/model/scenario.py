@@ -77,21 +77,28 @@ class SimTiming:
     """Durations in s.
 
     ``start``: of a task until ready. ``stop``: of a task until gone. ``every``: between two plans.
-    ``probe``: of the reading before each plan. ``apply``: of a plan with steps, besides those. ``paced``:
-    ``every`` counts from the start of a reading, as in a watch, and what is overrun is left out.
+    ``probe``: of the reading before each plan. ``plan``: from there to the first step. ``prepare``: of a
+    move, before its task stops. ``apply``: of a plan with steps, after the last one. ``paced``: ``every``
+    counts from the start of a reading, as in a watch, and what is overrun is left out.
+    ``by_reading``: conditions of events hold once a reading shows them, as in an experiment.
 
-    ``noise``: standard deviation of a CPU reading, as a share of the capacity. ``limit``: time limit of a
-    run.
+    ``noise``: standard deviation of a CPU reading, as a share of the capacity. ``bursts``: share of the
+    readings in which the traffic of a task with cycles shows what its link carries. ``limit``: time limit of
+    a run.
     """
 
     start: float = 5.0
     stop: float = 1.0
     every: float = 25.0
     noise: float = 0.0
+    bursts: float = 1.0
     limit: float = 7200.0
     probe: float = 0.0
+    plan: float = 0.0
+    prepare: float = 0.0
     apply: float = 0.0
     paced: bool = False
+    by_reading: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,17 +4,20 @@
 import math
 from itertools import pairwise
 from pathlib import Path
+from statistics import median
 
 import pytest
 
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.experiments.files.experiment_file import load_experiment, load_experiment_paths
+from edgectl.experiments.files.run_directory import load_run
 from edgectl.experiments.files.scenario_file import load_scenario, load_scenario_paths
 from edgectl.experiments.model.experiment import Experiment
 from edgectl.experiments.model.scenario import Scenario
 from edgectl.model.inventory import Inventory
 from edgectl.model.task import Tasks
 from edgectl.units import parse_rate
+from tests.experiments.cycle_times import PILOT, measure_cycles
 from tests.experiments.lab import patrol
 from tests.experiments.lab.patrol import PATROL, ROOT, follower, radio, world
 
@@ -127,6 +130,16 @@ def test_the_models_inputs_are_the_missions_own() -> None:
         if event.join is not None:
             assert (real[event.name].join, real[event.name].at) == (event.join, event.at)
     assert real["stranger"].at == next(event.at for event in scenario.events if event.name == "stranger")
+
+
+def test_plans_of_the_model_take_as_long_as_those_of_the_pilot() -> None:
+    """From a reading to the first stop, and from the end of a move to the next stop; links change with the reading."""
+    _, _, scenario = load_model()
+    pilot, timing = measure_cycles(load_run(PILOT)), scenario.timing
+    assert timing.plan + timing.prepare == pytest.approx(median(pilot.first), abs=0.05)
+    assert timing.prepare == pytest.approx(median(pilot.next), abs=0.05)
+    assert timing.by_reading
+    assert median(pilot.change) < 0.1
 
 
 def test_robots_see_all_rooms_together() -> None:
