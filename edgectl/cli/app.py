@@ -27,7 +27,9 @@ COMMANDS = {
     "plan": CommandEntry(
         "cli.plan", "Schedule", "Rank hosts for each task and show the changes, with reasons."
     ),
-    "diff": CommandEntry("cli.diff", "Schedule", "Show what apply would change; exit 1 if anything."),
+    "diff": CommandEntry(
+        "cli.diff", "Schedule", "Show what apply would change; exit 1 if there are changes."
+    ),
     "apply": CommandEntry("cli.apply", "Schedule", "Start, stop and move tasks to match the plan."),
     "watch": CommandEntry("cli.watch", "Schedule", "Re-plan periodically; with --apply, also apply."),
     "status": CommandEntry("cli.status", "Inspect", "Show where tasks run and what needs attention."),
@@ -118,13 +120,13 @@ COMMANDS = {
     "init": CommandEntry("cli.offline_commands", "Files", "Create an example fleet."),
     "validate": CommandEntry("cli.offline_commands", "Files", "Check inventory and task files offline."),
     "schema": CommandEntry("cli.schema", "Files", "Print the JSON Schema of a file or document."),
-    "import ros": CommandEntry("cli.import_", "Files", "Make tasks and an inventory of ROS launch files."),
+    "import ros": CommandEntry("cli.import_", "Files", "Make tasks and an inventory from ROS launch files."),
     "import ssh": CommandEntry("cli.import_", "Files", "Make an inventory of hosts in the ssh_config."),
-    "import ansible": CommandEntry("cli.import_", "Files", "Make an inventory of one of Ansible."),
+    "import ansible": CommandEntry("cli.import_", "Files", "Make an inventory from an Ansible inventory."),
     "import paper": CommandEntry(
-        "cli.import_", "Files", "Make tasks of a requirement file of the paper's authors."
+        "cli.import_", "Files", "Make tasks from a requirement file of the paper's authors."
     ),
-    "import compose": CommandEntry("cli.import_", "Files", "Make tasks of a compose file."),
+    "import compose": CommandEntry("cli.import_", "Files", "Make tasks from a compose file."),
     "export prometheus": CommandEntry(
         "cli.export", "Files", "Export measurements and decisions as Prometheus metrics."
     ),
@@ -172,10 +174,21 @@ GROUP_HELP: dict[str, str] = {
 }
 # Examples of a command group, a line each.
 GROUP_EXAMPLES: dict[str, tuple[str, ...]] = {
+    "describe": ("edgectl describe task detection-robot1",),
+    "top": ("edgectl top", "edgectl top -w", "edgectl top tasks -o wide"),
+    "profilers": ("edgectl profilers start", "edgectl profilers status"),
+    "counters": ("edgectl counters install", "edgectl counters show"),
+    "import": ("edgectl import ros bringup.launch rate:=2", "edgectl import ssh 'jetson-*'"),
+    "export": ("edgectl export cron --every 15m", "edgectl export csv tasks --since 1h"),
+    "experiment": (
+        "edgectl experiment run tasks/patrol/experiment.yaml --dry-run",
+        "edgectl experiment show docs/examples/run",
+    ),
     "simulate": (
         "edgectl simulate docs/scenarios/paper-2.yaml --runs 2",
         "edgectl simulate sweep docs/scenarios/sweep-robots.yaml",
     ),
+    "config": ("edgectl config view --origin", "edgectl config get-contexts"),
 }
 SUMMARY = "Place robot tasks on edge computers by measured utility: probe, plan, apply, over SSH."
 EPILOG = (
@@ -303,7 +316,9 @@ def _root_callback(
     verbose: Annotated[
         int, typer.Option("--verbose", "-v", count=True, help="Print requests to hosts; -vv: and SSH.")
     ] = 0,
-    log_format: Annotated[Literal["text", "json"], typer.Option("--log-format", help="Of -v.")] = "text",
+    log_format: Annotated[
+        Literal["text", "json"], typer.Option("--log-format", help="Format of -v.")
+    ] = "text",
 ) -> None:
     """Options of every command. The entry point acts on --insecure-files: settings are read before this."""
     if verbose:

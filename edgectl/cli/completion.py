@@ -34,6 +34,13 @@ def complete_tasks(incomplete: str) -> list[str]:
     return [name for name in _load_named_tasks() if name.startswith(incomplete)]
 
 
+def complete_entries(incomplete: str) -> list[str]:
+    """Names of tasks, and of entries with for_each, which stand for all of their tasks."""
+    tasks = _load_named_tasks()
+    names = dict.fromkeys([*tasks, *(task.template for task in tasks.values())])
+    return [name for name in names if name.startswith(incomplete)]
+
+
 def complete_labels(incomplete: str) -> list[str]:
     """Labels of the tasks, or of the hosts that get lists, and those that follow from the files, as
     key=value; after a comma, one more.

@@ -35,7 +35,7 @@ def counters_install_command(
 ) -> None:
     """Install byte counters of nftables on edges, so that UDP is measured too, as of ROS 2.
 
-    Needs root once per host: a login as root, or sudo. Install again after a change of robots.
+    Needs root once per host: a login as root, or sudo. Run it again after a change of robots.
 
     Examples:
         edgectl counters install

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 from typer import Argument, Exit
 
 from edgectl.cli import console, exit_codes, options
-from edgectl.cli.completion import complete_hosts, complete_tasks
+from edgectl.cli.completion import complete_entries, complete_hosts
 from edgectl.cli.task_names import expand_task_names
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import UsageError
@@ -37,7 +37,7 @@ _TaskNamesArgument = Annotated[
     list[str],
     Argument(
         metavar="TASK...",
-        autocompletion=complete_tasks,
+        autocompletion=complete_entries,
         help="Names, or KIND/NAME of any kind.",
         show_default=False,
     ),

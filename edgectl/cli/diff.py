@@ -21,7 +21,7 @@ def diff_command(
 ) -> None:
     """Show what apply would change: what runs now, and what would run.
 
-    Exit 0: nothing. 1: changes. More: an error, 4 of them if a host did not answer.
+    Exit code 0: no changes, 1: changes, above 1: an error (4: a host did not answer).
 
     Examples:
         edgectl diff

@@ -31,7 +31,7 @@ def exec_command(
     """Run a command where a task runs, in its environment and folder. The exit code is the command's; 125 if
     the task has just ended, 255 if ssh fails.
 
-    The command is no part of the task: neither its limits nor a stop concern it. No shell reads it.
+    The command is not part of the task: its limits and stops do not apply. No shell parses the command.
 
     Examples:
         edgectl exec slam-robot1 -- printenv
@@ -57,7 +57,7 @@ def ssh_command(
     dry_run: _DryRunOption = False,
 ) -> None:
     """Log in to a host by ssh, with the user, port, keys and jump hosts of the inventory; host keys are
-    checked. A command is read by the shell of the host. The exit code is that of ssh.
+    checked. A command runs in the login shell of the host. The exit code is that of ssh.
 
     Examples:
         edgectl ssh edge1

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from typer import Argument, Exit, Option
 
 from edgectl.cli import console, options
-from edgectl.cli.completion import complete_hosts, complete_tasks
+from edgectl.cli.completion import complete_entries, complete_hosts
 from edgectl.cli.signals import catch_stop_signals
 from edgectl.cli.task_names import check_task_names, expand_task_names
 from edgectl.cli.user_files import load_inputs
@@ -33,7 +33,7 @@ _TaskOption = Annotated[
     Option(
         "--task",
         metavar="TASK",
-        autocompletion=complete_tasks,
+        autocompletion=complete_entries,
         parser=options.strip_task_kind,
         help="Only events of this task.",
     ),
@@ -113,7 +113,7 @@ def _test_hooks(fleet: Fleet, kind: EventKind | None, output: OutputFormat, *, d
         UsageError: no hook would run.
     """
     from edgectl.usecases.event_delivery import list_tested_hooks, run_hook_trials
-    from edgectl.views.hook_trials import HookTrialsView, name_program
+    from edgectl.views.hook_trials import HookTrialsView
 
     hooks = list_tested_hooks(fleet, kind)
     if not hooks:
@@ -124,8 +124,8 @@ def _test_hooks(fleet: Fleet, kind: EventKind | None, output: OutputFormat, *, d
             hint="add on_event: [{command: [..]}] to the inventory",
         )
     if dry_run:
-        for hook in hooks:
-            console.print_text(f"{name_program(hook)} run{options.DRY_RUN_SUFFIX}\n")
+        planned = HookTrialsView([(hook, "", 0.0) for hook in hooks], dry_run=True)
+        console.print_view(planned, output)
         return ExitCode.DONE
     trials = run_hook_trials(fleet, kind)
     rows = [(trial.hook, trial.failure, trial.seconds) for trial in trials]

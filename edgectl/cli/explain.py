@@ -45,11 +45,11 @@ def explain_command(
     """Explain a placement: the contribution of each term, and the smallest changes that would change the
     host.
 
-    Each change is planned again: a task that would move before is named. A lead below the variation of the
-    measurements is called fragile.
+    Each change is checked by a new plan; tasks that would move first are named. A lead below the variation of
+    the measurements is called fragile.
 
     TASK may be a key of a file (task.demand.cpu, edge.limits, inventory.fleet), the code of a problem (EC101)
-    or a check of the doctor (check.clock): its meaning is printed, and nothing is read.
+    or a check of the doctor (check.clock): its meaning is printed, offline.
 
     Examples:
         edgectl explain slam-robot1

@@ -62,8 +62,8 @@ def export_systemd_command(
     """Print systemd units: a service and a timer that apply every 5 minutes, or --every; or with --watch one
     service.
 
-    Comments in the units tell how to install them. Unreachable hosts (4) and a busy lock (75) do not fail the
-    unit.
+    Comments in the units explain how to install them. Unreachable hosts (4) and a busy lock (75) do not
+    fail the unit.
 
     Examples:
         edgectl export systemd --user --every 90s --out units

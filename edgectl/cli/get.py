@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Exit
 
 from edgectl.cli import console, exit_codes, options
-from edgectl.cli.completion import complete_hosts, complete_tasks
+from edgectl.cli.completion import complete_entries, complete_hosts
 from edgectl.cli.listing_fields import list_field, sort_listing
 from edgectl.cli.selector import matches_selector
 from edgectl.cli.signals import catch_stop_signals, parse_every_option
@@ -35,7 +35,7 @@ def _complete_kinds(incomplete: str) -> list[str]:
 
 
 def _complete_names(incomplete: str) -> list[str]:
-    return [*complete_hosts(incomplete), *complete_tasks(incomplete)]
+    return [*complete_hosts(incomplete), *complete_entries(incomplete)]
 
 
 _KindArgument = Annotated[
@@ -52,7 +52,7 @@ _NamesArgument = Annotated[
     Argument(
         metavar="[NAME...]",
         autocompletion=_complete_names,
-        help="Only these names; of links, an end.",
+        help="Only these names; of links, either end.",
         show_default=False,
     ),
 ]
@@ -76,7 +76,7 @@ def get_command(
     """List hosts, edges, robots, tasks or links from a probe, or all of these. With -w, also print a line at
     each change that is not a measurement.
 
-    Selectors know host, kind and state, of tasks also robot and task, besides the labels of the files.
+    Selectors match the labels of the files, host, kind and state; of tasks also robot and task.
 
     With -w, -o json prints one object per line: {"type": "ADDED", "MODIFIED" or "DELETED", "at": ..,
     "object": ..}.

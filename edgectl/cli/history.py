@@ -51,7 +51,7 @@ def show_command(
         Argument(
             metavar="REV|PLAN",
             autocompletion=complete_revisions,
-            help="A number of edgectl history, or a saved plan.",
+            help="A number of edgectl history, or a saved plan (-: stdin).",
             show_default=False,
         ),
     ],
@@ -67,6 +67,7 @@ def show_command(
         edgectl show 1
         edgectl show next.plan
         edgectl show next.plan -o wide
+        edgectl plan -o json | edgectl show - -o markdown
     """
     from edgectl.cli.connect import build_fleet
     from edgectl.config.documents import load_plan

@@ -58,7 +58,7 @@ def import_ros_command(
     tasks: options.TasksOption = None,
     timeout: options.TimeoutOption = "20s",
 ) -> None:
-    """Make tasks and an inventory of ROS launch files: .launch, .launch.xml, .launch.yaml, .launch.py.
+    """Make tasks and an inventory from ROS launch files: .launch, .launch.xml, .launch.yaml, .launch.py.
 
     Nothing is started. A .launch.py is a program: it is run in a child process, without ROS. What is not
     imported is named on stderr. With --live, the nodes that run on a host of the inventory and are not
@@ -121,7 +121,7 @@ def import_ssh_command(
 ) -> None:
     """Make an inventory of hosts in the ssh_config, with the files that it includes.
 
-    The inventory names the aliases; what the ssh_config says of them stays there and counts.
+    The inventory names the aliases; their settings stay in the ssh_config and apply.
 
     Examples:
         edgectl import ssh 'jetson-*'
@@ -137,7 +137,7 @@ def import_ansible_command(
     file: Annotated[Path, Argument(metavar="INVENTORY", help="INI or YAML.", show_default=False)],
     out: _OutOption = None,
 ) -> None:
-    """Make an inventory of one of Ansible: hosts, address, port, user and key; groups become labels.
+    """Make an inventory from an Ansible inventory: hosts, address, port, user and key; groups become labels.
 
     Dynamic inventories are not run.
 
@@ -155,7 +155,7 @@ def import_compose_command(
     file: Annotated[Path, Argument(metavar="FILE", help="Such as compose.yaml.", show_default=False)],
     out: _OutOption = None,
 ) -> None:
-    """Make tasks of a compose file: each service becomes a task with an image.
+    """Make tasks from a compose file: each service becomes a task with an image.
 
     Variables of the file are filled in from the environment. What is not imported is named on stderr.
 
@@ -173,7 +173,7 @@ def import_paper_command(
     file: Annotated[Path, Argument(metavar="FILE", help="Such as task_req.yaml.", show_default=False)],
     out: _OutOption = None,
 ) -> None:
-    """Make tasks of a requirement file of the paper's authors: demands, predecessors, order and commands.
+    """Make tasks from a requirement file of the paper's authors: demands, predecessors, order and commands.
 
     Examples:
         edgectl import paper task_req.yaml

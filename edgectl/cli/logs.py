@@ -51,7 +51,7 @@ def logs_command(
 ) -> None:
     """Print the logs of tasks from the hosts where they run or ran last, without control sequences.
 
-    Of several tasks each line begins with [task/NAME]; a task without a log is said, and the exit code is 4.
+    Of several tasks each line begins with [task/NAME]; a task without a log is named, and the exit code is 4.
     -f follows up to 32 at once. A run ends when its command does: a crash, a restart or a stop.
 
     Examples:

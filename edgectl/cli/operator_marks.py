@@ -13,6 +13,8 @@ from edgectl.errors import ExitCode
 from edgectl.model.inventory import Inventory
 from edgectl.names import check_known_names
 from edgectl.units import format_duration
+from edgectl.views.marks import Mark, MarksView
+from edgectl.views.output_format import OutputFormat
 
 
 def cordon_command(
@@ -21,6 +23,7 @@ def cordon_command(
     drain: Annotated[bool, Option("--drain", help="Also move their tasks away at the next apply.")] = False,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
+    output: options.NamedOutput = OutputFormat.TABLE,
     dry_run: options.DryRunMarkOption = False,
 ) -> None:
     """Mark hosts as unschedulable.
@@ -36,7 +39,8 @@ def cordon_command(
     fleet = build_fleet(loaded)
     already = operator_marks.cordon_hosts(fleet, hosts, drain=drain, dry_run=dry_run)
     act = "cordoned" + ("; its tasks leave at the next apply" if drain else "")
-    _report_hosts(hosts, loaded.inventory, act, already, dry_run=dry_run)
+    marks = _list_host_marks(hosts, loaded.inventory, act, already)
+    console.print_view(MarksView("cordon", marks, dry_run=dry_run), output)
 
 
 def uncordon_command(
@@ -44,6 +48,7 @@ def uncordon_command(
     hosts: options.HostsArgument,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
+    output: options.NamedOutput = OutputFormat.TABLE,
     dry_run: options.DryRunMarkOption = False,
 ) -> None:
     """Mark hosts as schedulable.
@@ -57,7 +62,8 @@ def uncordon_command(
     loaded = load_inputs(inventory, tasks)
     fleet = build_fleet(loaded)
     already = operator_marks.uncordon_hosts(fleet, hosts, dry_run=dry_run)
-    _report_hosts(hosts, loaded.inventory, "uncordoned", already, dry_run=dry_run)
+    marks = _list_host_marks(hosts, loaded.inventory, "uncordoned", already)
+    console.print_view(MarksView("uncordon", marks, dry_run=dry_run), output)
 
 
 def fence_command(
@@ -65,6 +71,7 @@ def fence_command(
     host: options.HostArgument,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
+    output: options.NamedOutput = OutputFormat.TABLE,
     yes: options.YesOption = False,
     dry_run: options.DryRunMarkOption = False,
 ) -> None:
@@ -81,26 +88,24 @@ def fence_command(
     from edgectl.usecases import operator_marks
 
     fleet = build_fleet(load_inputs(inventory, tasks))
-    if operator_marks.is_fenced(fleet, host):
-        if not dry_run:  # once more: it may be missing in etcd
-            operator_marks.fence_hosts(fleet, [host])
-        return _report_hosts([host], fleet.inventory, "fenced", {host}, dry_run=dry_run)
-    silence_s = operator_marks.compute_silence_s(fleet, host)
+    again = operator_marks.is_fenced(fleet, host)
+    silence_s = None if again else operator_marks.compute_silence_s(fleet, host)
     if silence_s is not None:
         console.print_message(
             f"note: {host} last answered {format_duration(silence_s)} ago; the fence ends when it answers"
         )
-    if dry_run:
-        return _report_hosts([host], fleet.inventory, "fenced", dry_run=True)
-    apply_session.check_can_confirm(asked=not yes, first="check first: edgectl fence --dry-run")
-    if not yes and not apply_session.ask_confirmation(
-        f"If {host} of fleet {fleet.inventory.fleet} is still on, its tasks will run twice. "
-        "Type its name if it is powered off: ",
-        host,
-    ):
-        raise Exit(ExitCode.FAILED)
-    operator_marks.fence_hosts(fleet, [host])
-    return _report_hosts([host], fleet.inventory, "fenced")
+    if not (again or dry_run):
+        apply_session.check_can_confirm(asked=not yes, first="check first: edgectl fence --dry-run")
+        if not yes and not apply_session.ask_confirmation(
+            f"If {host} of fleet {fleet.inventory.fleet} is still on, its tasks will run twice. "
+            "Type its name if it is powered off: ",
+            host,
+        ):
+            raise Exit(ExitCode.FAILED)
+    if not dry_run:  # also where it is fenced already: the fence may be missing in etcd
+        operator_marks.fence_hosts(fleet, [host])
+    marks = _list_host_marks([host], fleet.inventory, "fenced", {host} if again else ())
+    console.print_view(MarksView("fence", marks, dry_run=dry_run), output)
 
 
 def unfence_command(
@@ -108,6 +113,7 @@ def unfence_command(
     hosts: options.HostsArgument,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
+    output: options.NamedOutput = OutputFormat.TABLE,
     dry_run: options.DryRunMarkOption = False,
 ) -> None:
     """Clear the fence of hosts.
@@ -120,7 +126,8 @@ def unfence_command(
 
     loaded = load_inputs(inventory, tasks)
     already = operator_marks.unfence_hosts(build_fleet(loaded), hosts, dry_run=dry_run)
-    _report_hosts(hosts, loaded.inventory, "unfenced", already, dry_run=dry_run)
+    marks = _list_host_marks(hosts, loaded.inventory, "unfenced", already)
+    console.print_view(MarksView("unfence", marks, dry_run=dry_run), output)
 
 
 def done_command(
@@ -129,6 +136,7 @@ def done_command(
     selector: options.SelectorOption = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
+    output: options.NamedOutput = OutputFormat.TABLE,
     dry_run: options.DryRunMarkOption = False,
 ) -> None:
     """Mark tasks as completed: the next apply stops them, and they stay stopped until reopened or changed.
@@ -142,7 +150,8 @@ def done_command(
     fleet = build_fleet(load_inputs(inventory, tasks))
     chosen = select_task_names(names or (), selector, fleet.tasks)
     already = operator_marks.mark_tasks_done(fleet, chosen, dry_run=dry_run)
-    _report_tasks(chosen, "marked as done", already, dry_run=dry_run)
+    marks = _list_task_marks(chosen, "marked as done", already)
+    console.print_view(MarksView("done", marks, dry_run=dry_run), output)
 
 
 def reopen_command(
@@ -151,6 +160,7 @@ def reopen_command(
     selector: options.SelectorOption = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
+    output: options.NamedOutput = OutputFormat.TABLE,
     dry_run: options.DryRunMarkOption = False,
 ) -> None:
     """Make completed or failed tasks schedulable again. Exit 4 if a host did not answer: a task that
@@ -166,29 +176,24 @@ def reopen_command(
     chosen = select_task_names(names or (), selector, fleet.tasks)
     check_known_names(chosen, fleet.tasks.tasks, "task")
     silent, already = (frozenset(), frozenset()) if dry_run else operator_marks.reopen_tasks(fleet, chosen)
-    _report_tasks(chosen, "reopened", already, dry_run=dry_run)
+    marks = _list_task_marks(chosen, "reopened", already)
+    console.print_view(MarksView("reopen", marks, dry_run=dry_run), output)
     raise Exit(ExitCode.PARTLY if silent else ExitCode.DONE)
 
 
-def _report_hosts(
-    names: Iterable[str],
-    inventory: Inventory,
-    act: str,
-    already: Container[str] = (),
-    *,
-    dry_run: bool = False,
-) -> None:
-    for name in dict.fromkeys(names):
-        role = inventory.hosts[name].role if name in inventory.hosts else "host"
-        _report_mark(f"{role}/{name}", act, again=name in already, dry_run=dry_run)
+def _list_host_marks(
+    names: Iterable[str], inventory: Inventory, act: str, already: Container[str] = ()
+) -> list[Mark]:
+    return [
+        Mark(
+            subject=inventory.hosts[name].role.value if name in inventory.hosts else "host",
+            name=name,
+            act=act,
+            again=name in already,
+        )
+        for name in dict.fromkeys(names)
+    ]
 
 
-def _report_tasks(names: Iterable[str], act: str, already: Container[str], *, dry_run: bool) -> None:
-    for name in dict.fromkeys(names):
-        _report_mark(f"task/{name}", act, again=name in already, dry_run=dry_run)
-
-
-def _report_mark(named: str, act: str, *, again: bool, dry_run: bool) -> None:
-    """As kubectl: a mark that is set already is no error."""
-    suffix = options.DRY_RUN_SUFFIX if dry_run else ""
-    console.print_text(f"{named} {'already ' if again else ''}{act}{suffix}\n")
+def _list_task_marks(names: Iterable[str], act: str, already: Container[str]) -> list[Mark]:
+    return [Mark(subject="task", name=name, act=act, again=name in already) for name in dict.fromkeys(names)]

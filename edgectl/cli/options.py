@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, get_origin
 from typer import Argument, Option
 
 from edgectl.cli.completion import (
+    complete_entries,
     complete_hosts,
     complete_labels,
     complete_policies,
@@ -101,7 +102,7 @@ ItemOutput = Annotated[OutputFormat, build_output_option(ITEM_FORMATS)]
 ValidateOutput = Annotated[OutputFormat, build_output_option(VALIDATION_FORMATS)]
 
 SnapshotOption = Annotated[
-    Path | None, Option("--snapshot", metavar="FILE", help="Plan from this file; no host is contacted.")
+    Path | None, Option("--snapshot", metavar="FILE", help="Plan from this file (-: stdin); contact no host.")
 ]
 WeightsOption = Annotated[
     str | None,
@@ -143,7 +144,7 @@ WithoutOption = Annotated[
 ]
 TargetOption = Annotated[
     list[str] | None,
-    Option("--target", metavar="TASK", autocompletion=complete_tasks, help="Only this task; repeatable."),
+    Option("--target", metavar="TASK", autocompletion=complete_entries, help="Only this task; repeatable."),
 ]
 SortByOption = Annotated[
     str | None, Option("--sort-by", metavar="KEY", help="By a key of -o json, such as cpu.used_cores.")
@@ -233,7 +234,7 @@ TasksArgument = Annotated[
     list[str] | None,
     Argument(
         metavar="[TASK...]",
-        autocompletion=complete_tasks,
+        autocompletion=complete_entries,
         parser=strip_task_kind,
         help="Names of tasks.",
         show_default=False,
@@ -242,8 +243,6 @@ TasksArgument = Annotated[
 Shell = Literal["bash", "zsh", "fish"]
 DryRunOption = Annotated[bool, Option("--dry-run", help="Only print the exact remote commands.")]
 DryRunMarkOption = Annotated[bool, Option("--dry-run", help="Only check and print; change nothing.")]
-# After what a dry run would have done, as kubectl prints it.
-DRY_RUN_SUFFIX = " (dry run)"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

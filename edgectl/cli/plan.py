@@ -35,7 +35,7 @@ def plan_command(
 ) -> None:
     """Rank hosts for each task by utility and show the changes, with reasons. Nothing is changed.
 
-    With -w the plan is made again and again, and printed when it differs (edgectl watch smooths loads).
+    With -w, plan repeatedly and print the plan when it differs (edgectl watch also smooths loads).
 
     Examples:
         edgectl plan

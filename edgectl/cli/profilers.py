@@ -40,8 +40,8 @@ def profilers_start_command(
 ) -> None:
     """Start a resident profiler on each host, so that a probe needs no sample window.
 
-    Start them again after a change of robots or of detect, and after a reboot: profilers with the same
-    options stay.
+    Run it again after a change of robots or detect, and after a reboot; profilers with the same options are
+    kept.
 
     Examples:
         edgectl profilers start

@@ -27,7 +27,7 @@ def serve_command(
     ] = "9816",
     token_file: Annotated[
         Path | None,
-        Option("--token-file", metavar="FILE", help="Ask for its token; made if missing (mode 0600)."),
+        Option("--token-file", metavar="FILE", help="Ask for its token; created if missing (0600)."),
     ] = None,
     every: Annotated[str, Option("--every", metavar="TIME", help="Time between probes.")] = "5s",
     timeout: options.TimeoutOption = "8s",
@@ -53,11 +53,12 @@ def serve_command(
     from edgectl.web.picture import build_page_document, collect_picture
     from edgectl.web.server import bind_page_server
 
-    host, _ = parse_listen_address(listen)
+    host, port = parse_listen_address(listen)
     if token_file is None and not is_loopback_address(host):
         raise UsageError(
             f"--listen {listen}: other machines are served only with a token",
-            hint="add --token-file FILE, or listen on 127.0.0.1 and forward it: ssh -L 9816:127.0.0.1:9816",
+            hint=f"add --token-file FILE, or listen on 127.0.0.1:{port} and forward it from there: "
+            f"ssh -L {port}:127.0.0.1:{port} MANAGER",
         )
     period = parse_every_option(every)
     how = ProbeOptions(timeout=parse_duration_option(timeout, "--timeout"))

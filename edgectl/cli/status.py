@@ -24,7 +24,7 @@ def status_command(
 ) -> None:
     """Show where tasks run, their age, and their usage against demand. Exit 4 while a wanted task has failed.
 
-    With -w again and again; -o json is then one object per line.
+    With -w, refresh until Ctrl-C; -o json then prints one object per line.
 
     Examples:
         edgectl status

@@ -137,7 +137,7 @@ def _open_cycle_printer(
         return
     from edgectl.views.watch_screen import WatchScreen, WatchTitle, show_watch_screen
 
-    title = WatchTitle(fleet=name, variant=watch_cycle.format_weights(policy.weights), applies=given.apply)
+    title = WatchTitle(fleet=name, weights=watch_cycle.format_weights(policy.weights), applies=given.apply)
     control = given.control
     screen = WatchScreen(title, lambda: control.paused)
     wanted = {"q": control.stop, "p": control.now, "a": control.pause}

@@ -8,7 +8,7 @@ from typing import Any, NoReturn, TypeVar
 
 from edgectl.config.json_positions import find_json_positions
 from edgectl.config.problems import Mark, ProblemCode, Problems, Source, mark_from_span
-from edgectl.config.source import read_source
+from edgectl.config.source import STDIN, read_source, read_stdin
 from edgectl.errors import EdgectlError
 from edgectl.formats.document import Fault, FormatErrors
 from edgectl.formats.kinds import PLAN_KIND, SNAPSHOT_KIND
@@ -17,11 +17,12 @@ from edgectl.model.snapshot import Snapshot
 
 MAX_DOCUMENT_BYTES = 256 * 2**20
 _SNAPSHOT_COMMAND, _PLAN_COMMAND = "edgectl probe --out", "edgectl plan --out"
+_PRINT_COMMANDS = {_SNAPSHOT_COMMAND: "edgectl probe -o json", _PLAN_COMMAND: "edgectl plan -o json"}
 Model = TypeVar("Model")
 
 
 def load_snapshot(path: str | Path) -> Snapshot:
-    """The snapshot in a file.
+    """The snapshot in a file, or on standard input (``-``).
 
     Raises:
         InputError: everything that is wrong with it.
@@ -40,7 +41,7 @@ def load_snapshots(paths: Iterable[Path]) -> tuple[Snapshot, ...]:
 
 
 def load_plan(path: str | Path) -> Plan:
-    """The plan in a file.
+    """The plan in a file, or on standard input (``-``).
 
     Raises:
         InputError: everything that is wrong with it.
@@ -49,7 +50,7 @@ def load_plan(path: str | Path) -> Plan:
 
 
 def read_plan(path: Path, problems: Problems) -> Plan:
-    """The plan in a file; ``problems`` collects the warnings.
+    """The plan in a file, or on standard input (``-``); ``problems`` collects the warnings.
 
     Raises:
         InputError: everything that is wrong with it.
@@ -62,7 +63,12 @@ class _NotJsonError(Exception):
 
 
 def _load_document(path: Path, decode: Callable[[object], Model], again: str, problems: Problems) -> Model:
-    source = read_source(path, problems, max_bytes=MAX_DOCUMENT_BYTES, maker=f"{again} {path}")
+    maker = _PRINT_COMMANDS[again] if path == STDIN else f"{again} {path}"
+    source = (
+        read_stdin(problems, max_bytes=MAX_DOCUMENT_BYTES)
+        if path == STDIN
+        else read_source(path, problems, max_bytes=MAX_DOCUMENT_BYTES, maker=maker)
+    )
     if source is None:
         problems.check()
         raise EdgectlError(f"{path} cannot be read")
@@ -70,7 +76,7 @@ def _load_document(path: Path, decode: Callable[[object], Model], again: str, pr
         raw = _parse_json(source.text)
     except json.JSONDecodeError as error:
         mark = Mark(source, error.lineno, error.colno)
-        _raise_problem(problems, mark, f"not JSON: {error.msg}", f"write the file again with {again} {path}")
+        _raise_problem(problems, mark, f"not JSON: {error.msg}", f"write it again: {maker}")
     except (ValueError, RecursionError, _NotJsonError) as error:
         _raise_text_problems(source, error, problems)
     try:

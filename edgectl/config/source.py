@@ -4,6 +4,7 @@
 import grp
 import os
 import pwd
+import sys
 from pathlib import Path
 from stat import S_IMODE, S_ISREG, S_IWGRP, S_IWOTH
 
@@ -11,6 +12,8 @@ from edgectl.config.problems import Mark, ProblemCode, Problems, Source
 from edgectl.names import suggest_name
 
 MAX_INPUT_BYTES = 2**20
+# Names standard input where a document is read.
+STDIN = Path("-")
 
 
 def read_source(
@@ -35,11 +38,21 @@ def read_source(
     except (OSError, ValueError) as error:
         problems.add(nowhere, ProblemCode.UNREADABLE, *_explain_read_error(path, error, maker))
         return None
+    return _decode_bounded(nowhere, data, problems, max_bytes)
+
+
+def read_stdin(problems: Problems, *, max_bytes: int) -> Source | None:
+    """The text on standard input, named ``-``, or None with the cause collected."""
+    nowhere = Mark(Source(file=str(STDIN), text="", lines=()), 0, 0)
+    return _decode_bounded(nowhere, sys.stdin.buffer.read(max_bytes + 1), problems, max_bytes)
+
+
+def _decode_bounded(nowhere: Mark, data: bytes, problems: Problems, max_bytes: int) -> Source | None:
     if len(data) > max_bytes:
         message = f"the file is larger than {max_bytes // 2**20} MiB"
         problems.add(nowhere, ProblemCode.SIZE, message, "split it, or check that it is the right file")
         return None
-    return decode_source(str(path), data, problems)
+    return decode_source(nowhere.source.file, data, problems)
 
 
 def _warn_if_exposed(path: Path, status: os.stat_result, problems: Problems) -> None:

@@ -34,7 +34,7 @@ def _build_warning(host: str, message: str, remedy: str) -> Finding:
 
 def _find_remedy(host: str, user: str, engine: str, error: str) -> str:
     if "permission denied" in error.lower():
-        return f"on {host}: sudo usermod -aG docker {user}, then log in anew"
+        return f"on {host}: sudo usermod -aG docker {user}, then log in again"
     if engine == _SWARM and "manager" in error:
         return (
             f"on {host}: docker context create lab --docker host=ssh://USER@MANAGER; in the inventory: "

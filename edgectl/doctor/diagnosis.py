@@ -59,6 +59,8 @@ def _suggest_fix(host: Host, answer: UnreachableHost) -> str:
     }
     if answer.kind == "host-key":
         return answer.hint or f"compare the fingerprint, then: edgectl trust {name}"
+    if answer.error.startswith("name unknown"):
+        return f"correct its host: ({host.host}) in the inventory, or name it in your ssh_config"
     if answer.error.startswith("jump host "):
         return f"see which login fails: {format_ssh_command(host, '-v')} true"
     return (

@@ -48,6 +48,6 @@ def pull_image(act: StepRun, planned: PlannedPhase) -> None:
                 break
             if time.monotonic() >= deadline:
                 message = f"the image was not pulled on {host.name} within {planned.timeout_s:.3g} s"
-                raise HostError(message, hint="it goes on there: apply again", host=host.name)
+                raise HostError(message, hint="the pull continues there: run apply again", host=host.name)
         if answer.get("state") == protocol.PULLED:
             remarks.append("pulled")

@@ -65,7 +65,7 @@ def _ask_person(means: EventMeans, event: MissionEvent) -> str:
     assert event.ask is not None  # noqa: S101
     if means.ask(event.ask.text, event.ask.deadline, means.ended):
         return ""
-    return "" if means.ended.is_set() else f"nobody confirmed it within {event.ask.deadline:g} s"
+    return "" if means.ended.is_set() else f"no one confirmed it within {event.ask.deadline:g} s"
 
 
 # What a change does when it begins and when it ends.

@@ -196,10 +196,9 @@ def begin_steps(state: SimState, steps: Sequence[Step]) -> list[simpy.Process]:
     """Begin all steps: those that start something after its needs, and after the moves that leave its host,
     in the order of the executor.
     """
-    begun: dict[str, simpy.Process] = {}
-    for step, others in order_steps(steps, state.tasks):
-        before = [begun[other] for other in others]
-        begun[step.task] = state.env.process(_run_step(state, step, before))
+    begun = dict[str, simpy.Process]()
+    for step, needs in order_steps(state.tasks, steps):
+        begun[step.task] = state.env.process(_run_step(state, step, [begun[other] for other in needs]))
     return list(begun.values())
 
 

@@ -42,10 +42,10 @@ def plan_cycle(state: SimState) -> tuple[Step, ...]:
     return plan
 
 
-def order_steps(steps: Sequence[Step], tasks: Tasks) -> list[tuple[Step, list[str]]]:
-    """The steps, each with the tasks of those before it that have to end first, as the executor has it."""
+def order_steps(tasks: Tasks, steps: Sequence[Step]) -> list[tuple[Step, list[str]]]:
+    """The steps in an order of the executor, each with the tasks whose steps end before it."""
     waits = build_step_dependencies(tuple(steps), tasks)
-    after = {step.task: waits[step.task].tasks if step.task in waits else frozenset() for step in steps}
+    after = {step.task: waits[step.task].tasks if step.task in waits else frozenset[str]() for step in steps}
     by_name = {step.task: step for step in steps}
     return [(by_name[name], sorted(after[name])) for name in order_by_dependencies(after)]
 

@@ -2,6 +2,7 @@
 """Tasks at the hosts of a plan, as other engines are given them (ADR 157)."""
 
 import re
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -15,6 +16,7 @@ from edgectl.model.task import NeedCondition, Task, TaskKind
 # Seconds between two questions of a probe.
 PROBE_PERIOD_S = 5.0
 _MAX_LABEL = 63
+_INSIDE = re.compile(r"""(?:docker|podman) exec (?:-[it]+ )?"?\$\{?EDGECTL_CONTAINER\}?"? (.+)""", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,10 +102,21 @@ def check_images(tasks: Sequence[EngineTask], engine: str) -> None:
 
 
 def select_probe(check: Check | None) -> str | None:
-    """The command of a check that the engine can ask on the host; None where it cannot."""
+    """The command of a check that the engine can ask; None where it cannot.
+
+    An engine asks in the container. edgectl does so by ``docker exec "$EDGECTL_CONTAINER" ..``, of which the
+    command alone is returned.
+    """
     if check is None or check.ros is not None or check.on is not CheckLocation.HOST:
         return None
-    return check.command
+    inside = _INSIDE.fullmatch(check.command)
+    if inside is None:
+        return check.command
+    try:
+        words = shlex.split(inside[1])
+    except ValueError:
+        return inside[1]
+    return words[2] if words[:2] == ["sh", "-c"] and len(words) == 3 else inside[1]
 
 
 def note_common_gaps(files: EngineFiles, each: EngineTask, *, secrets: str) -> None:
@@ -116,6 +129,10 @@ def note_common_gaps(files: EngineFiles, each: EngineTask, *, secrets: str) -> N
     asked = (task.ready, task.alive.check if task.alive is not None else None)
     if any(check is not None and select_probe(check) is None for check in asked):
         files.add_note(each, "checks of a robot or of the ROS graph are left out")
+    if each.image is not None and any(
+        check is not None and select_probe(check) == check.command and check.command for check in asked
+    ):
+        files.add_note(each, "checks are asked in the container; edgectl asks them on the host")
     if task.env_command or each.host.env_command:
         files.add_note(each, "what env_command prints is left out")
     if task.done_when is not None:

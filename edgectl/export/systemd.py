@@ -81,7 +81,7 @@ def build_watch_unit(job: ScheduledJob, *, user: bool) -> dict[str, str]:
         *_build_unit_section(f"edgectl watch for {', '.join(job.inventories)}", user=user),
         "[Service]",
         "Type=exec",
-        "# An invalid call or file (64) is not retried: somebody has to correct it.",
+        "# An invalid call or file (64) is not retried: it needs a correction first.",
         "Restart=always",
         "RestartSec=10s",
         "RestartPreventExitStatus=64",

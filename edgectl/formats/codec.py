@@ -75,16 +75,21 @@ def decode_again(
     kind: type[Model], raw: Mapping[str, Any], faults: Faults, before: Mapping[str, Any], known: Model
 ) -> Model:
     """As `decode`, of a dataclass that was ``known`` when its object was ``before``: a value that is the very
-    same object in both is not decoded again.
+    same object in both is not decoded again, nor is such an entry of a mapping whose entries stand alone.
     """
     wanted: Any = kind
     values: dict[str, Any] = {}
     for member in list_members(wanted):
         if isinstance(member, Field) and not member.place.inline:
-            found = raw.get(member.key)
-            if found is not None and found is before.get(member.key):
+            found, was = raw.get(member.key), before.get(member.key)
+            if found is not None and found is was:
                 values[member.name] = getattr(known, member.name)
                 continue
+            if member.codec.again is not None:
+                again = member.codec.again(found, was, getattr(known, member.name))
+                if again is not None:
+                    values[member.name] = again
+                    continue
         decode_member(member, raw, (), faults, values)
     return kind(**values) if not faults else known
 

@@ -93,7 +93,17 @@ def compile_mapping_alone(key: Codec, item: Codec) -> Codec:
             key.decode(name, path, faults): value for name, value in _decode_alone(item, raw.items(), path)
         }
 
-    return compile_mapping(key, item)._replace(decode=decode_mapping)
+    def decode_changed(raw: Any, before: Any, known: Any) -> Any:  # noqa: ANN401
+        """The entries that are not the very same objects as before are decoded, if all of them fit."""
+        if not (isinstance(raw, dict) and isinstance(before, dict)):
+            return None
+        changed = {name: inner for name, inner in raw.items() if inner is not before.get(name)}
+        fresh = decode_mapping(changed, (), [])
+        if fresh.keys() != changed.keys() or not raw.keys() - changed.keys() <= known.keys():
+            return None
+        return {name: fresh[name] if name in changed else known[name] for name in raw}
+
+    return compile_mapping(key, item)._replace(decode=decode_mapping, again=decode_changed)
 
 
 def compile_tuple_alone(item: Codec) -> Codec:

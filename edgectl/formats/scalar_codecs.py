@@ -28,12 +28,14 @@ _JSON_TYPE_NAMES = {
 class Codec(NamedTuple):
     """How values of one type are encoded, decoded and described.
 
-    ``schema`` collects the schemas of classes in its argument.
+    ``schema`` collects the schemas of classes in its argument. ``again``: the value of a JSON value, from one
+    before and what that was decoded to; None where it has to be decoded.
     """
 
     encode: Callable[[Any], Any]
     decode: Callable[[Any, FieldPath, Faults], Any]
     schema: Callable[[Schema], Schema]
+    again: Callable[[Any, Any, Any], Any] | None = None
 
 
 def describe_json_type(raw: object) -> str:

@@ -153,7 +153,8 @@ def probe_hosts(
     answers = _ask_hosts([host for host in inventory.hosts.values() if host.probe], context)
     answers |= _adopt_and_ask_again(answers, context)
     samples = join_latencies(_finalize_samples(answers, inventory), _list_latencies(answers), tasks)
-    options.on_links(join_link_ends(_list_link_ends(answers), _list_partial_links(samples)))
+    joined = None if options.readings is None else options.readings.joined
+    options.on_links(join_link_ends(_list_link_ends(answers), _list_partial_links(samples), joined))
     return Snapshot(taken_at=clock(), hosts=samples)
 
 
@@ -241,8 +242,7 @@ def _decode_reading(
 ) -> DecodedProbe:
     came_at = context.clock() - (time.monotonic() - reading.came_at)
     reply = HostReply(host=host, document=reading.document, seconds=0.0)
-    before = None if known is None else (known[0], known[1].reply)
-    return _decode_reply(reply, dataclasses.replace(context, clock=lambda: came_at), before)
+    return _decode_reply(reply, dataclasses.replace(context, clock=lambda: came_at), known)
 
 
 def _build_request(host: Host, context: _ProbeContext) -> dict[str, object]:
@@ -270,15 +270,17 @@ def _build_single_request(host: Host, context: _ProbeContext) -> dict[str, objec
 
 
 def _decode_reply(
-    reply: HostReply, context: _ProbeContext, known: tuple[Mapping[str, object], ProbeReply] | None = None
+    reply: HostReply, context: _ProbeContext, known: tuple[Mapping[str, object], DecodedProbe] | None = None
 ) -> DecodedProbe:
     host, document = reply.host, reply.document
     if context.lease is not None:
         context.lease.take_reply(host.name, document.get("lease"))
-    probe = decode_probe(document, host, known)
+    before = None if known is None else known[1]
+    probe = decode_probe(document, host, None if known is None else (known[0], known[1].reply))
+    known_sample = None if before is None else (before.reply, before.sample)
     return DecodedProbe(
         reply=probe,
-        sample=build_host_sample(probe, document, _build_reply_context(host, context)),
+        sample=build_host_sample(probe, document, _find_reply_context(host, context), known_sample),
         links=LinkEnds(links=probe.links, peers=probe.peers),
         done=list_done_tasks(probe) & list_checked_tasks(context.tasks, host, elsewhere=True),
         unowned=frozenset(probe.unowned),
@@ -393,13 +395,13 @@ def _finalize_samples(
 def drop_known_hosts(sample: HostSample, known: Set[str]) -> HostSample:
     """``sample`` with those hosts of other managers that are not in ``known`` (ADR 0068)."""
     left = tuple(name for name in sample.foreign_hosts if name not in known)
-    return dataclasses.replace(sample, foreign_hosts=left)
+    return dataclasses.replace(sample, foreign_hosts=left) if left != sample.foreign_hosts else sample
 
 
 def _drop_reported_tasks(sample: HostSample, reported: frozenset[str]) -> HostSample:
     """``sample`` without other tasks whose instances a host reports itself: two names of one machine."""
     left = tuple(each for each in sample.other_tasks if each.instance not in reported)
-    return dataclasses.replace(sample, other_tasks=left)
+    return dataclasses.replace(sample, other_tasks=left) if left != sample.other_tasks else sample
 
 
 def _finalize_sample(answer: HostAnswer[DecodedProbe], done: frozenset[str], now: float) -> HostSample:
@@ -408,6 +410,15 @@ def _finalize_sample(answer: HostAnswer[DecodedProbe], done: frozenset[str], now
         return sample
     age = round(sample.sample_age_s + now - answer.ended, 3)
     return apply_done_tasks(dataclasses.replace(sample, sample_age_s=age), done)
+
+
+def _find_reply_context(host: Host, context: _ProbeContext) -> ReplyContext:
+    """What the manager knows of a host now; nearly all of it is the same in each cycle of a watch."""
+    readings = context.options.readings
+    if readings is None:
+        return _build_reply_context(host, context)
+    kept = readings.keep_context(host.name, partial(_build_reply_context, host, context))
+    return dataclasses.replace(kept, answered_at=context.clock())
 
 
 def _build_reply_context(host: Host, context: _ProbeContext) -> ReplyContext:

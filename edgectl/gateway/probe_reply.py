@@ -73,6 +73,10 @@ class ReplyContext:
     robots_of: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
+# The reply before, and the sample that was made of it.
+KnownSample = tuple[ProbeReply, HostSample]
+
+
 def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSample:
     """The sample of one host.
 
@@ -98,8 +102,11 @@ def decode_probe(
     return decode_reply(ProbeReply, document, known=known)
 
 
-def build_host_sample(reply: ProbeReply, document: ReplyDocument, context: ReplyContext) -> HostSample:
-    """As `decode_host_sample`, of a ``document`` that is decoded.
+def build_host_sample(
+    reply: ProbeReply, document: ReplyDocument, context: ReplyContext, known: KnownSample | None = None
+) -> HostSample:
+    """As `decode_host_sample`, of a ``document`` that is decoded; ``known``: the sample before, in the same
+    context, of which links may be as they were.
 
     Raises:
         ReplyError: as `decode_host_sample`.
@@ -118,7 +125,7 @@ def build_host_sample(reply: ProbeReply, document: ReplyDocument, context: Reply
         usage=_decode_usages(document, context.host, tasks),
         counters=reply.counters,
         engines=reply.engines,
-        links=_build_links(reply, context, tasks) if context.host.role is Role.EDGE else {},
+        links=_build_links(reply, context, tasks, known) if context.host.role is Role.EDGE else {},
         tasks=active,
         standbys=standbys,
         device=_build_device(reply, document, context.answered_at),
@@ -207,27 +214,55 @@ def _get_declared(host: Host, resource: Resource) -> float:
 
 
 def _build_links(
-    reply: ProbeReply, context: ReplyContext, tasks: Mapping[str, TaskSample]
+    reply: ProbeReply,
+    context: ReplyContext,
+    tasks: Mapping[str, TaskSample],
+    known: KnownSample | None,
 ) -> dict[str, LinkSample]:
+    same = {} if known is None else _select_same_links(reply, context, tasks, known)
     return {
-        robot: _build_link(robot, reply.links[robot], context, reply.interfaces, tasks)
+        robot: same[robot]
+        if robot in same
+        else _build_link(robot, reply.links[robot], context, _get_speed(reply, reply.links[robot]), tasks)
         for robot in context.robots
         if robot in reply.links
     }
+
+
+def _select_same_links(
+    reply: ProbeReply, context: ReplyContext, tasks: Mapping[str, TaskSample], known: KnownSample
+) -> dict[str, LinkSample]:
+    """The links of the sample before of which nothing is said anew, if no task had a part in them."""
+    before, sample = known
+    shared = (*_select_alive(tasks), *_select_alive(sample.instances))
+    if before.checks or any(context.host.is_slice or task.partial for task in shared):
+        return {}
+    return {
+        robot: link
+        for robot, link in sample.links.items()
+        if (found := reply.links.get(robot)) is not None
+        and found is before.links[robot]
+        and _get_speed(reply, found) == _get_speed(before, found)
+    }
+
+
+def _get_speed(reply: ProbeReply, link: LinkReply) -> float | None:
+    """Bytes/s of the interface of a link, where they are known."""
+    nic = reply.interfaces.get(link.interface)
+    return nic.speed_bytes_per_s if nic else None
 
 
 def _build_link(
     robot: str,
     reply: LinkReply,
     context: ReplyContext,
-    interfaces: Mapping[str, InterfaceReply],
+    speed: float | None,
     tasks: Mapping[str, TaskSample],
 ) -> LinkSample:
     used = reply.rx_bytes_per_s + reply.tx_bytes_per_s
     if context.host.is_slice:
         used = sum((_get_link_usage(task, robot) for task in _select_alive(tasks)), 0.0)
-    nic = interfaces.get(reply.interface)
-    capacity, source = select_link_capacity(robot, context, nic.speed_bytes_per_s if nic else None)
+    capacity, source = select_link_capacity(robot, context, speed)
     if robot not in context.blind and reply.reachable is False:
         capacity = 0.0
     counted = reply.source is TrafficSource.COUNTERS and not context.host.is_slice

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from typing import Generic, TypeVar
 
 from edgectl.agent.link import protocol
+from edgectl.gateway.link_observations import JoinedLinks
+from edgectl.gateway.probe_reply import ReplyContext
 from edgectl.transport.readings import Reading, ReadingFeeds
 
 Value = TypeVar("Value")
@@ -24,7 +26,7 @@ MAX_EVERY_S = 5.0
 class FleetReadings(Generic[Value]):
     """The readings of the hosts of one fleet, each ``every`` s; ``feeds`` are those of its connections.
 
-    A reading counts for the very request that it answers. For one thread.
+    A reading counts for the very request that it answers. ``joined``: the links of all hosts. For one thread.
     """
 
     def __init__(self, feeds: ReadingFeeds, *, every: float) -> None:
@@ -35,6 +37,8 @@ class FleetReadings(Generic[Value]):
         self._addresses: Addresses | None = None
         self._resolved_at = 0.0
         self._requests: dict[str, Request] = {}
+        self._contexts: dict[str, ReplyContext] = {}
+        self.joined: JoinedLinks = {}
 
     def keep_addresses(self, resolve: Callable[[], Addresses]) -> Addresses:
         """What ``resolve`` finds, for as long as no host is asked anew: it takes a thread for each name."""
@@ -44,10 +48,11 @@ class FleetReadings(Generic[Value]):
         return self._addresses
 
     def use_inputs(self, inputs: tuple[object, ...]) -> None:
-        """Forget what was made from other ``inputs``: requests, and what was decoded."""
+        """Forget what was made from other ``inputs``: requests, contexts, and what was decoded."""
         if inputs != self._inputs:
             self._inputs = inputs
             self._requests.clear()
+            self._contexts.clear()
             self._decoded.clear()
 
     def build_request(self, host: str, build: Callable[[], Request]) -> Request:
@@ -58,6 +63,12 @@ class FleetReadings(Generic[Value]):
             wanted = {"op": protocol.OP_READINGS, "every_s": self._every, "rounds": rounds}
             self._requests[host] = {**build(), **wanted}
         return self._requests[host]
+
+    def keep_context(self, host: str, build: Callable[[], ReplyContext]) -> ReplyContext:
+        """What ``build`` made of the present inputs for the replies of a host."""
+        if host not in self._contexts:
+            self._contexts[host] = build()
+        return self._contexts[host]
 
     def find(self, host: str, request: Request) -> Reading | None:
         """What a host says now; None where it must be asked: what it said before does not count then."""

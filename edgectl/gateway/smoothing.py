@@ -103,10 +103,14 @@ def _smooth_link(
     tasks: tuple[list[TaskSample], list[TaskSample], list[TaskSample]],
     weight: float,
 ) -> LinkSample:
-    was, ours, averaged = (sum((task.links or {}).get(robot, 0.0) for task in each) for each in tasks)
+    was, ours, averaged = (_sum_links(robot, each) if each else 0.0 for each in tasks)
     others = _compute_mean(before.used_bytes_per_s - was, now.used_bytes_per_s - ours, weight)
     used = max(0.0, others + averaged)
     return now if used == now.used_bytes_per_s else dataclasses.replace(now, used_bytes_per_s=used)
+
+
+def _sum_links(robot: str, tasks: list[TaskSample]) -> float:
+    return sum((task.links or {}).get(robot, 0.0) for task in tasks)
 
 
 def _select_alive(tasks: Mapping[str, TaskSample]) -> list[TaskSample]:

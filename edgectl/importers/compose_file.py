@@ -292,17 +292,18 @@ def _build_check(name: str, node: Node, given: object, notes: Launch) -> Values:
     test = given.get("test")
     words = [str(word) for word in _as_list(test)]
     if isinstance(test, str):
-        command = test
+        asked = ["sh", "-c", test]
     elif words[:1] == ["CMD-SHELL"]:
-        command = " ".join(words[1:])
+        asked = ["sh", "-c", " ".join(words[1:])]
     else:
-        command = shlex.join(words[1:]) if words[:1] == ["CMD"] else ""
-    if not command:
+        asked = words[1:] if words[:1] == ["CMD"] else []
+    if not asked:
         return {}
     if given.keys() - {"test"}:
         message = f"{name}: of healthcheck only the test is imported, as ready"
         notes.note(node.key_mark("healthcheck"), message)
-    return {"ready": {"command": command}}
+    # Compose asks in the container, and edgectl on the host.
+    return {"ready": {"command": f'docker exec "$EDGECTL_CONTAINER" {shlex.join(asked)}'}}
 
 
 def _read_environment(name: str, node: Node, given: object, notes: Launch) -> dict[str, str]:

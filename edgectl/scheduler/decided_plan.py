@@ -91,6 +91,16 @@ def build_choices(plan: DecidedPlan, packing: "Packing", causes: Mapping[str, st
     return changed
 
 
+def build_place_choices(
+    plan: DecidedPlan, places: Mapping[str, int], causes: Mapping[str, str]
+) -> dict[str, Choice]:
+    """The choices that give tasks their ``places``, where they differ from ``plan``. ``causes``: by task, the
+    one that it was moved for.
+    """
+    found = {name: _build_choice(plan, name, place, causes.get(name)) for name, place in places.items()}
+    return {name: choice for name, choice in found.items() if choice is not None}
+
+
 def _build_choice(plan: DecidedPlan, name: str, place: int, cause: str | None) -> Choice | None:
     """The choice of ``place`` for task ``name``; None where it has it already."""
     if name not in plan.placed:

@@ -8,6 +8,7 @@ from edgectl.scheduler.choice import Choice
 from edgectl.scheduler.decided_plan import (
     DecidedPlan,
     build_choices,
+    build_place_choices,
     find_located,
     list_wanted,
 )
@@ -15,6 +16,7 @@ from edgectl.scheduler.insertion import extend_item, place_item, preempt_for_ite
 from edgectl.scheduler.ledger import compute_demand_usage
 from edgectl.scheduler.packed_plan import PlanFrame, build_item, build_packing, build_plan_frame
 from edgectl.scheduler.packing import Item, Packing, combine_items, restore_homes
+from edgectl.scheduler.quick_room import find_quick_room
 from edgectl.scheduler.sequence import is_need_met
 from edgectl.scheduler.utility import EPSILON
 
@@ -31,6 +33,9 @@ def repair_plan(plan: DecidedPlan) -> dict[str, Choice]:
     wanted = list_wanted(plan)
     if not wanted:
         return {}
+    quick = find_quick_room(plan, wanted)
+    if quick is not None:
+        return build_place_choices(plan, quick.places, quick.causes)
     leaders = _choose_leaders(plan)
     frame = build_plan_frame(plan, leaders)
     packing = build_packing(frame)

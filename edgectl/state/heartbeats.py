@@ -18,9 +18,11 @@ from edgectl.formats.document import FormatErrors
 from edgectl.formats.kinds import DocumentKind
 from edgectl.model.encoding import in_document
 from edgectl.state.json_files import (
+    FileStamp,
     Warn,
     ignore_warning,
     read_json,
+    read_stamp,
     set_aside,
     write_json,
 )
@@ -47,11 +49,13 @@ class Heartbeats:
         return {host: wall - compute_elapsed_s(since, now) for host, since in self.last.items()}
 
 
+# By file: what it was when it was read last, and what it had.
+_READ: dict[Path, tuple[FileStamp | None, Heartbeats]] = {}
 _KIND = DocumentKind(name="file of heartbeats", version=1, model=Heartbeats)
 
 
 def load_heartbeats(fleet_dir: Path, warn: Warn = ignore_warning) -> Heartbeats:
-    """The stored heartbeats.
+    """The stored heartbeats; a file that was not replaced since is not read again, as a watch asks often.
 
     A broken file is set aside and not replaced by the previous one, which would know of too old contacts.
 
@@ -59,12 +63,19 @@ def load_heartbeats(fleet_dir: Path, warn: Warn = ignore_warning) -> Heartbeats:
         StateError: a newer edgectl wrote it.
     """
     path = fleet_dir / _FILE_NAME
+    # Before it is read: what is written meanwhile is read the next time.
+    stamp = read_stamp(path)
+    known = _READ.get(path)
+    if known is not None and stamp is not None and known[0] == stamp:
+        return known[1]
     try:
         document = read_json(path)
-        return Heartbeats() if document is None else _KIND.decode(document)
+        found = Heartbeats() if document is None else _KIND.decode(document)
     except (ValueError, FormatErrors) as error:
         warn(f"{path} is broken ({error}); set aside as {set_aside(path).name}")
         return Heartbeats()
+    _READ[path] = (stamp, found)
+    return found
 
 
 def record_heartbeats(fleet_dir: Path, heard: Mapping[str, Uptime]) -> None:

@@ -17,10 +17,21 @@ from edgectl.state.paths import open_private_file, sync_dir
 STATE_FORMAT_VERSION = 1
 Warn = Callable[[str], None]
 Value = TypeVar("Value")
+# Inode, size and time of the last change (ns): another where a file was replaced.
+FileStamp = tuple[int, int, int]
 
 
 def ignore_warning(_text: str) -> None:
     """Drop a warning."""
+
+
+def read_stamp(path: Path) -> FileStamp | None:
+    """What differs once the file was replaced; None where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_size, found.st_mtime_ns
 
 
 def write_json(path: Path, document: object, *, keep: bool = True) -> None:

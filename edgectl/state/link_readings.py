@@ -9,7 +9,14 @@ from edgectl.dataclass import dataclass
 from edgectl.formats.kinds import DocumentKind
 from edgectl.model.encoding import in_document
 from edgectl.model.link_reading import LinkHistory
-from edgectl.state.json_files import Warn, ignore_warning, load_or_set_aside, write_json
+from edgectl.state.json_files import (
+    FileStamp,
+    Warn,
+    ignore_warning,
+    load_or_set_aside,
+    read_stamp,
+    write_json,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,7 +31,7 @@ class _StoredHistories:
 _FILE_NAME = "live-links.json"
 _Histories = dict[tuple[str, str], LinkHistory]
 # By file: what it was when it was read last, and what it had.
-_READ: dict[Path, tuple[tuple[int, int, int] | None, _Histories]] = {}
+_READ: dict[Path, tuple[FileStamp | None, _Histories]] = {}
 _KIND = DocumentKind(name="file of link readings", version=1, model=_StoredHistories)
 
 
@@ -34,7 +41,7 @@ def load_link_histories(fleet_dir: Path, warn: Warn = ignore_warning) -> _Histor
     A file that has not changed since is not read again: a watch asks in every cycle.
     """
     path = fleet_dir / _FILE_NAME
-    stamp = _read_stamp(path)
+    stamp = read_stamp(path)
     known = _READ.get(path)
     if known is None or known[0] != stamp or stamp is None:
         stored = load_or_set_aside(path, _KIND.decode, _StoredHistories(), warn)
@@ -43,15 +50,6 @@ def load_link_histories(fleet_dir: Path, warn: Warn = ignore_warning) -> _Histor
             {(edge, robot): each for edge, robots in stored.links.items() for robot, each in robots.items()},
         )
     return dict(known[1])
-
-
-def _read_stamp(path: Path) -> tuple[int, int, int] | None:
-    """What differs once the file was replaced; None where there is none."""
-    try:
-        found = path.stat()
-    except OSError:
-        return None
-    return found.st_ino, found.st_size, found.st_mtime_ns
 
 
 def save_link_histories(fleet_dir: Path, histories: Mapping[tuple[str, str], LinkHistory]) -> None:

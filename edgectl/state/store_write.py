@@ -36,25 +36,32 @@ def write_samples(connection: sqlite3.Connection, snapshot: Snapshot) -> None:
 
 
 def _write_link_samples(connection: sqlite3.Connection, points: Sequence[LinkPoint]) -> None:
-    connection.executemany(
-        "INSERT OR IGNORE INTO links (edge, robot) VALUES (?, ?)",
-        [(point.edge, point.robot) for point in points],
-    )
+    known = _load_link_numbers(connection) if points else {}
+    new = [(point.edge, point.robot) for point in points if (point.edge, point.robot) not in known]
+    if new:
+        connection.executemany("INSERT OR IGNORE INTO links (edge, robot) VALUES (?, ?)", new)
+        known = _load_link_numbers(connection)
     connection.executemany(
         "INSERT OR REPLACE INTO loads (link, at, capacity_bytes_per_s, used_bytes_per_s, rtt_ms)"
-        " SELECT link, ?, ?, ?, ? FROM links WHERE edge = ? AND robot = ?",
+        " VALUES (?, ?, ?, ?, ?)",
         [
             (
+                known[point.edge, point.robot],
                 point.at,
                 point.capacity_bytes_per_s,
                 point.used_bytes_per_s,
                 point.rtt_ms,
-                point.edge,
-                point.robot,
             )
             for point in points
         ],
     )
+
+
+def _load_link_numbers(connection: sqlite3.Connection) -> dict[tuple[str, str], int]:
+    """The number of each link that has samples, by edge and robot."""
+    return {
+        (edge, robot): link for link, edge, robot in connection.execute("SELECT link, edge, robot FROM links")
+    }
 
 
 def _write_task_samples(connection: sqlite3.Connection, points: Sequence[TaskPoint]) -> None:

@@ -33,6 +33,8 @@ _NOT_FOUND_PATTERN = re.compile(
     rb"not found|no such file or directory|unknown command|cannot execute", re.IGNORECASE
 )
 _TOO_OLD_PATTERN = re.compile(rb"unknown option:? -[IS]", re.IGNORECASE)
+# Comments and docstrings of the stub, which travels with each request as it is: a third of it.
+_NOTE_PATTERN = re.compile(rb'^ *(?:#.*|"""[^"]*""")\n', re.MULTILINE)
 # Of the reason of a refusal, characters.
 _MAX_MESSAGE = 1000
 # Of the length of a chunk of a log, digits.
@@ -60,7 +62,8 @@ def use_cache_key(fleet: str, key: str) -> None:
 def _read_boot_programs() -> bytes:
     """The stub and the boot program, each after its length; most hosts never unpack the latter."""
     stub, boot = (read_program(AGENT_DIR / "link" / name) for name in ("stub.py", "boot.py"))
-    return b"".join(b"%d\n%s" % (len(text), text) for text in (stub, zlib.compress(boot, 9)))
+    programs = (_NOTE_PATTERN.sub(b"", stub), zlib.compress(boot, 9))
+    return b"".join(b"%d\n%s" % (len(text), text) for text in programs)
 
 
 def build_packet(request: Mapping[str, object], marker: str, timeout: float, agent: bytes = b"") -> bytes:

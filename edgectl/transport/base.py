@@ -129,6 +129,28 @@ class OpenExchange(Exchange, Protocol):
 
 
 @runtime_checkable
+class RestingExchange(OpenExchange, Protocol):
+    """An open exchange whose reader need not wake up for all that arrives (ADR 188)."""
+
+    @property
+    def arrived_at(self) -> float:
+        """When something arrived last (s, monotonic)."""
+        ...
+
+    def rest(self, *, resting: bool) -> None:
+        """Whether `await_arrival` sleeps on when something arrives; the end of the output wakes it up."""
+        ...
+
+    def await_arrival(self, seconds: float) -> None:
+        """Wait, at most so long, for something to read, or for the end."""
+        ...
+
+    def has_arrived(self) -> bool:
+        """Whether something has arrived since the last `read`, and reading it waits for nothing."""
+        ...
+
+
+@runtime_checkable
 class ConversableSession(Session, Protocol):
     """A session that can keep one command running beside all others."""
 

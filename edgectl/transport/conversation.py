@@ -29,7 +29,14 @@ from edgectl.transport.agent_client import (
     parse_reply_json,
     split_frame,
 )
-from edgectl.transport.base import ConversableSession, Exchange, OpenExchange, Reply, Session
+from edgectl.transport.base import (
+    ConversableSession,
+    Exchange,
+    OpenExchange,
+    Reply,
+    RestingExchange,
+    Session,
+)
 from edgectl.transport.pulses import keep_pulsing
 from edgectl.transport.readings import ReadingFeed, ReadingFeeds
 
@@ -49,6 +56,8 @@ _JOIN_S = 2.0
 # Requests in a row that the agent does not take, for want of a place for compiled code.
 _MAX_REFUSED = 3
 _PROGRAM_COUNT = 2
+# Of the readings of a host: more than come before somebody looks at them.
+_AHEAD_BYTES = 4 * frames.MAX_FRAME_BYTES
 # Agents that stay: on one machine, whose slices may be many hosts; and ssh programs here, three files each.
 _MAX_ON_MACHINE, _MAX_PROGRAMS = 8, 64
 
@@ -83,7 +92,7 @@ class Conversation:
     """One agent that stays: a thread begins it and listens to it; that of all sends the pulses.
 
     Once ``is_over`` it carries nothing any more; ``is_useless``: another one on this connection would not
-    either.
+    either. While only readings are under way its thread sleeps, and who wants to know them takes them up.
     """
 
     def __init__(self, session: ConversableSession, greeting: Mapping[str, object]) -> None:
@@ -91,11 +100,14 @@ class Conversation:
         self._session, self._greeting = session, greeting
         self._open, self._decided = False, threading.Event()
         self._exchange: OpenExchange | None = None
+        # The same, where it is one that can rest.
+        self._resting: RestingExchange | None = None
         self._questions: dict[int, _Question | ReadingFeed] = {}
         self._numbers = itertools.count(1)
         self._refused = 0
         self._used_at = time.monotonic()
         self._lock, self._writing = threading.Lock(), threading.Lock()
+        self._hearing, self._reader = threading.Lock(), frames.FrameReader(frames.HOST_WORDS)
         self._pulsing: threading.Thread | None = None
         self._thread = threading.Thread(target=self._run, name="edgectl-converse", daemon=True)
         self._thread.start()
@@ -127,6 +139,7 @@ class Conversation:
             if not self._open or exchange is None:
                 return None
             self._questions[number] = question
+            self._let_rest()
         try:
             with exchange.expect_reply(timeout=timeout, limit=limit):
                 with contextlib.suppress(HostError):
@@ -138,10 +151,11 @@ class Conversation:
                 if feed is None or not feed.whole:
                     self._questions.pop(number, None)
                 self._used_at = time.monotonic()
+                self._let_rest()
         if changes and not question.whole and not question.refused:
             raise ConnectError("the agent ended before it had replied")
         if feed is not None and feed.whole:
-            feed.drop = lambda: self._drop(exchange, number)
+            feed.drop, feed.take_up = lambda: self._drop(exchange, number), self._take_up
         return bytes(question.output) if question.whole else None
 
     def _drop(self, exchange: OpenExchange, number: int) -> None:
@@ -182,6 +196,7 @@ class Conversation:
         # Whatever goes wrong costs no request: each may have a call of its own.
         with contextlib.suppress(Exception), contextlib.closing(self._begin(marker)) as exchange:
             try:
+                self._resting = exchange if isinstance(exchange, RestingExchange) else None
                 rest = self._await_first_word(exchange, marker)
                 with keep_pulsing(partial(self._pulse, exchange)):
                     self._listen(exchange, rest)
@@ -225,19 +240,59 @@ class Conversation:
         return rest
 
     def _listen(self, exchange: OpenExchange, data: bytes) -> None:
-        """Hand out what the agent says, until either side ends or nobody has asked for long."""
-        reader, silent = frames.FrameReader(frames.HOST_WORDS), False
+        """Hand out what the agent says, until either side ends or nobody has asked for long.
+
+        Raises:
+            HostError: the agent or the line has ended.
+            ValueError: what came is no frame.
+        """
+        with self._hearing:
+            self._hear_frames(exchange, data)
         while not self.is_over:
-            for word, number, body in reader.feed(data):
-                self._hear(exchange, word, number, body)
-            if silent and self._is_idle():
+            pause = KEEP_S / 2
+            if self._resting is not None:
+                # Whoever takes up what has come meanwhile must not wait for this thread.
+                self._resting.await_arrival(pause)
+                pause = 0.0
+            with self._hearing:
+                heard = self._hear_next(exchange, pause)
+            if not heard and self._is_idle():
                 return
+
+    def _take_up(self) -> None:
+        """Hear what has come, unless that may have to wait: then the thread will do so."""
+        exchange = self._resting
+        if exchange is None or self.is_over or not exchange.has_arrived():
+            return
+        if self._hearing.acquire(blocking=False):
             try:
-                data, silent = exchange.read(timeout=KEEP_S / 2), False
-            except DeadlineError:
-                data, silent = b"", True
-            if not data and not silent:
-                return
+                self._hear_next(exchange, 0.0)
+            except (HostError, ValueError):
+                self.end()
+            finally:
+                self._hearing.release()
+
+    def _hear_next(self, exchange: OpenExchange, seconds: float) -> bool:
+        """Hear what comes within ``seconds``; False where nothing does. Raises as `_listen`."""
+        try:
+            data = exchange.read(timeout=seconds)
+        except DeadlineError:
+            return False
+        if not data:
+            raise ReplyError("the agent has ended")
+        self._hear_frames(exchange, data)
+        return True
+
+    def _hear_frames(self, exchange: OpenExchange, data: bytes) -> None:
+        at = time.monotonic() if self._resting is None else self._resting.arrived_at
+        for word, number, body in self._reader.feed(data):
+            self._hear(exchange, word, number, body, at)
+
+    def _let_rest(self) -> None:
+        """Let the thread sleep while nobody waits for what may come; with the lock."""
+        if self._resting is not None:
+            asked = (not (isinstance(each, ReadingFeed) and each.whole) for each in self._questions.values())
+            self._resting.rest(resting=not any(asked))
 
     def _pulse(self, exchange: OpenExchange) -> None:
         """Send a pulse; where that may have to wait, from another thread, so that no other host waits.
@@ -265,16 +320,18 @@ class Conversation:
             self._open = self._open and not idle
         return idle
 
-    def _hear(self, exchange: OpenExchange, word: str, number: int, body: bytes) -> None:
+    def _hear(self, exchange: OpenExchange, word: str, number: int, body: bytes, at: float) -> None:
         with self._lock:
             question = self._questions.get(number)
         if question is None:
             # Its asker has given up.
             return
         if word == frames.OUTPUT:
-            question.add(body)
             if isinstance(question, ReadingFeed):
-                exchange.expect_more(frames.MAX_FRAME_BYTES)
+                question.add(body, at)
+                exchange.expect_more(_AHEAD_BYTES)
+            else:
+                question.add(body)
             return
         question.refused = word == frames.REFUSED
         self._refused = self._refused + 1 if question.refused else 0

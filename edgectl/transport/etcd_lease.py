@@ -210,7 +210,7 @@ class EtcdLease:
                 self._until = -math.inf
             raise CoordinationError(
                 "the lease of the fleet in etcd has run out: nothing was saved there",
-                hint="apply again, which takes the fleet anew",
+                hint="run apply again: it takes the fleet again",
             )
         return read_integer(reply.get("header"), "revision")
 

@@ -162,7 +162,7 @@ class FleetLease:
         if self.term is not None and self.term.is_over():
             raise LeaseLostError(
                 "the lease of the fleet in etcd has run out: nothing was sent",
-                hint="apply again, which takes the fleet anew",
+                hint="run apply again: it takes the fleet again",
                 host=host,
             )
         now = self._clock()
@@ -182,7 +182,7 @@ class FleetLease:
         if lapsed:
             raise LeaseLostError(
                 f"the lease of the fleet on {lapsed[0]} has run out: nothing was sent",
-                hint="apply again, which takes the fleet anew",
+                hint="run apply again: it takes the fleet again",
                 host=host,
             )
         return {**self._identity, "epoch": grant.epoch}

@@ -24,7 +24,7 @@ from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError, Ho
 from edgectl.model.inventory import Host
 from edgectl.transport.base import Exchange, OpenExchange, Reply
 from edgectl.transport.local import LocalSession
-from edgectl.transport.sockets import CONNECT_TIMEOUT_S
+from edgectl.transport.sockets import CONNECT_TIMEOUT_S, REFUSED_HINT, UNKNOWN_NAME_HINT
 from edgectl.transport.ssh_config import SshConfigResolver, build_ssh_options, parse_jump_host
 
 FIXED_OPTIONS = {
@@ -86,13 +86,13 @@ OPENSSH_ERRORS: tuple[tuple[str, type[HostError], str, str], ...] = (
         r"Could not resolve|Name or service not known",
         ConnectError,
         "name unknown",
-        "correct host: in the inventory, or ssh_config",
+        UNKNOWN_NAME_HINT,
     ),
     (
         r"Connection refused",
         ConnectError,
         "connection refused",
-        "check that it is switched on and that its address is correct",
+        REFUSED_HINT,
     ),
     (
         r"timed out|No route to host|Network is unreachable",

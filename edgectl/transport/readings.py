@@ -35,6 +35,7 @@ class ReadingFeed:
     """The replies to one request for readings, under way in a conversation (`conversation.Conversation`).
 
     ``limit``: bytes of all of them; beyond it ends. ``drop``: tells the host that nobody listens any more.
+    ``take_up``: adds what has come meanwhile, without a wait.
     ``ended``: the first reply has come, or none will; ``whole``: ``output`` is that reply.
     """
 
@@ -47,11 +48,14 @@ class ReadingFeed:
     is_over: bool = False
     reading: Reading | None = None
     drop: Callable[[], None] | None = None
+    take_up: Callable[[], None] | None = None
     _buffer: bytes = b""
     _received: int = 0
 
-    def add(self, data: bytes) -> None:
-        """Add a piece of the output of the request; only the thread that listens."""
+    def add(self, data: bytes, at: float | None = None) -> None:
+        """Add a piece of the output of the request, which came ``at`` (s, monotonic; None: now); one thread
+        at a time.
+        """
         if self.is_over:
             return
         self._buffer += data
@@ -60,7 +64,7 @@ class ReadingFeed:
             while (found := split_frame(self._buffer, self.marker)) is not None:
                 size = len(self._buffer) - len(found[1])
                 frame, self._buffer = self._buffer[:size], found[1]
-                self._take(frame, found[0])
+                self._take(frame, found[0], time.monotonic() if at is None else at)
         except ReplyError:
             self.end(whole=False)
         if self._received > self.limit:
@@ -74,16 +78,19 @@ class ReadingFeed:
 
     def find_reading(self) -> Reading | None:
         """What the host says now; None where it must be asked."""
-        return None if self.is_over or self.silent_s else self.reading
+        silent_s = self.silent_s
+        return None if self.is_over or silent_s else self.reading
 
     @property
     def silent_s(self) -> float:
         """Seconds since the host said something, once it owes a word; else 0."""
+        if self.take_up is not None:
+            self.take_up()
         seconds = 0.0 if self.reading is None else time.monotonic() - self.reading.said_at
         return seconds if seconds > SILENT_S else 0.0
 
-    def _take(self, frame: bytes, payload: bytes) -> None:
-        now, document = time.monotonic(), parse_reply_json(payload)
+    def _take(self, frame: bytes, payload: bytes, now: float) -> None:
+        document = parse_reply_json(payload)
         if "error" in document:
             raise ReplyError("the host stopped to measure")
         before = self.reading
@@ -104,10 +111,16 @@ def _merge_update(before: dict[str, object], update: dict[str, object]) -> dict[
     Raises:
         ReplyError: it is no update.
     """
-    changed, gone = update.get("changed"), update.get("gone")
-    if not isinstance(changed, dict) or not isinstance(gone, list):
+    changed, entries, gone = update.get("changed"), update.get("entries", {}), update.get("gone")
+    if not (isinstance(changed, dict) and isinstance(entries, dict) and isinstance(gone, list)):
         raise ReplyError("not an update of a reading")
-    return {key: value for key, value in before.items() if key not in gone} | changed
+    merged = {key: value for key, value in before.items() if key not in gone} | changed
+    for key, some in entries.items():
+        known = merged.get(key)
+        if not (isinstance(known, dict) and isinstance(some, dict)):
+            raise ReplyError("not an update of a reading")
+        merged[key] = known | some
+    return merged
 
 
 class ReadingFeeds:

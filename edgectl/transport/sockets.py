@@ -19,6 +19,9 @@ from edgectl.dataclass import dataclass
 
 # Bounds of connecting, seconds.
 CONNECT_TIMEOUT_S = 5.0
+# Remedies of connections that fail at once, in every transport.
+UNKNOWN_NAME_HINT = "correct host: in the inventory, or ssh_config"
+REFUSED_HINT = "check that sshd runs there, and host: and port: in the inventory"
 # Data that stays unacknowledged this long means a dead line, milliseconds.
 TCP_USER_TIMEOUT_MS = 20_000
 # paramiko asks for 0.1 s on each of its sockets: ten wake-ups per second and connection that see nothing.

@@ -20,6 +20,7 @@ from paramiko.ssh_exception import (
 )
 
 from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError, HostKeyError
+from edgectl.transport.sockets import REFUSED_HINT, UNKNOWN_NAME_HINT
 
 # Most specific first: the first entry that fits an exception names its kind and its words.
 SSH_ERRORS: tuple[tuple[type[BaseException], type[HostError], str], ...] = (
@@ -53,6 +54,11 @@ SSH_ERROR_HINTS: dict[type[HostError], str] = {
     ConnectError: "check that it is switched on and that its address is correct",
     DeadlineError: "the host is reachable but does not answer: overloaded, frozen or behind a lossy link",
 }
+# Where the cause says more than our error does.
+_CAUSE_HINTS: dict[type[BaseException], str] = {
+    socket.gaierror: UNKNOWN_NAME_HINT,
+    ConnectionRefusedError: REFUSED_HINT,
+}
 
 
 def translate_ssh_error(error: BaseException, name: str) -> HostError:
@@ -65,5 +71,6 @@ def translate_ssh_error(error: BaseException, name: str) -> HostError:
             said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
             detail = "".join(char for char in said.strip().split("\n")[0] if char.isprintable())[:200]
             message = f"{words} ({detail})" if detail and detail.lower() not in words else words
-            return ours(message, hint=SSH_ERROR_HINTS.get(ours, ""), host=name)
+            hint = _CAUSE_HINTS.get(kind) or SSH_ERROR_HINTS.get(ours, "")
+            return ours(message, hint=hint, host=name)
     return ConnectError(f"unexpected {type(error).__name__}: {error}", host=name)

@@ -198,13 +198,53 @@ class SshSession:
         return self.transport.open_session(window_size=window, timeout=left)
 
 
+class _Arrivals(threading.Event):
+    """Set where an output of a channel has data or has ended; while it is ``resting``, only where it ended.
+
+    paramiko's thread sets it, before it adds the data. ``at``: when it did that last; ``is_new``: since the
+    last look.
+    """
+
+    def __init__(self, channel: paramiko.Channel) -> None:
+        super().__init__()
+        self._channel = channel
+        self.resting = self.is_new = False
+        self.at = time.monotonic()
+
+    def set(self) -> None:
+        """Wake whoever waits for it now."""
+        self.at, self.is_new = time.monotonic(), True
+        if not self.resting or self._channel.eof_received or self._channel.closed:
+            super().set()
+
+
 class SshExchange:
     """A channel whose standard input is open (see `Exchange`)."""
 
     def __init__(self, session: SshSession, channel: paramiko.Channel, stack: contextlib.ExitStack) -> None:
         self._session, self._channel, self._stack = session, channel, stack
         self._stderr = bytearray()
-        self._arrived = _watch_arrivals(channel)
+        self._arrived = _Arrivals(channel)
+        _watch_arrivals(channel, self._arrived)
+
+    @property
+    def arrived_at(self) -> float:
+        """As ``RestingExchange.arrived_at``."""
+        return self._arrived.at
+
+    def rest(self, *, resting: bool) -> None:
+        """As ``RestingExchange.rest``."""
+        self._arrived.resting = resting
+        if not resting and self._arrived.is_new:
+            self._arrived.set()
+
+    def await_arrival(self, seconds: float) -> None:
+        """As ``RestingExchange.await_arrival``."""
+        self._arrived.wait(seconds)
+
+    def has_arrived(self) -> bool:
+        """As ``RestingExchange.has_arrived``: a read may have to tell the server that there is room again."""
+        return self._arrived.is_new and self.can_write()
 
     def read(self, *, timeout: float) -> bytes:
         """As ``Exchange.read``."""
@@ -212,6 +252,7 @@ class SshExchange:
         with self._session.translate_errors(timeout):
             while True:
                 self._arrived.clear()
+                self._arrived.is_new = False
                 piece = b"".join(_read_available(self._channel, self._stderr))
                 del self._stderr[:-_CHUNK_BYTES]
                 if piece:
@@ -342,9 +383,9 @@ def _collect_reply(channel: paramiko.Channel, deadline: float, limit: int, timeo
     return Reply(stdout=bytes(stdout), stderr=bytes(stderr), status=channel.exit_status)
 
 
-def _watch_arrivals(channel: paramiko.Channel) -> threading.Event:
+def _watch_arrivals(channel: paramiko.Channel, event: threading.Event | None = None) -> threading.Event:
     """An event that is set when either output of ``channel`` has data or ended: one thread waits for both."""
-    arrived = threading.Event()
+    arrived = threading.Event() if event is None else event
     channel.in_buffer.set_event(arrived)
     channel.in_stderr_buffer.set_event(arrived)
     if channel.recv_ready() or channel.recv_stderr_ready():

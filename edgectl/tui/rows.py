@@ -23,6 +23,8 @@ from edgectl.views.usage import render_difference
 
 # Columns of the terminal: around each cell, and beside the table.
 _PADDING, _SCROLLBAR = 2, 2
+# Fewer show no course.
+_MIN_SPARKLINE_SAMPLES = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -264,6 +266,8 @@ def _get_share(usage: ResourceUsage | None) -> float | None:
 
 
 def _render_history(values: Sequence[float | None], top: float, room: int, *, unicode: bool) -> str:
+    if room < _MIN_SPARKLINE_SAMPLES:
+        return ""
     room = min(room, SPARKLINE_SAMPLES)
     return render_sparkline(values, top, room, unicode=unicode).rjust(room)
 

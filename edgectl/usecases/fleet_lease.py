@@ -113,7 +113,7 @@ def _check_term(lease: FleetLease) -> None:
     if lease.term is not None and lease.term.is_over():
         raise CoordinationError(
             "the lease of the fleet in etcd has run out: nothing was sent",
-            hint="apply again, which takes the fleet anew",
+            hint="run apply again: it takes the fleet again",
         )
 
 

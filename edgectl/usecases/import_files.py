@@ -143,7 +143,7 @@ def import_compose(path: str) -> Imported:
 
 
 def import_ansible(path: str) -> Imported:
-    """Make an inventory of one of Ansible, in INI or YAML. Scripts are not run.
+    """Make an inventory from an Ansible inventory, in INI or YAML. Scripts are not run.
 
     Raises:
         InputError: everything that is wrong with it.

@@ -120,7 +120,7 @@ class TaskDetailsView(ItemView):
             else {"host": placed.host, "placed_at": format_instant(placed.since)},
             "pin": encode_pin(memory.pins.get(self._name), self._snapshot.taken_at),
             "downtimes_s": {host: list(found) for host, found in downtimes.items()},
-            "decision": None if self._step is None else _encode_decision(self._step),
+            "decision": None if self._step is None else encode_decision(self._step),
             "events": [encode_event(event) for event in self._events or ()],
         }
 
@@ -390,7 +390,8 @@ def _encode_task_spec(stated: Task) -> Document:
     }
 
 
-def _encode_decision(step: Step) -> Document:
+def encode_decision(step: Step) -> Document:
+    """What a plan decided of a task, in short."""
     decision = step.decision
     return {
         "action": step.action.value,

@@ -67,6 +67,7 @@ LIST_KEYS: KeysByName = {
     "host-usage": (*_HOST, "history"),
     "host-key": ("host", "key_type", "fingerprint", "state", "error", "hint"),
     "link": _LINK,
+    "mark": ("host", "task", "verb", "message", "changed", "dry_run", "pin", "decision"),
     "profile": ("task", "class", "host_names", "samples", "span_s", "enough", "resources"),
     "profiler": (
         "host", "state", "pid", "age_s", "every_s", "period_s", "samples", "sample_age_s", "cpu", "memory",

@@ -7,6 +7,7 @@ from edgectl.formats.document import Document
 from edgectl.model.event import EventHook
 from edgectl.units import format_duration
 from edgectl.views.glossary import head
+from edgectl.views.marks import DRY_RUN_SUFFIX
 from edgectl.views.output import ListView
 from edgectl.views.output_format import ITEM_FORMATS
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
@@ -18,11 +19,14 @@ class HookTrialsView(ListView):
     kind = "hook"
     formats = ITEM_FORMATS
 
-    def __init__(self, trials: Sequence[tuple[EventHook, str, float]]) -> None:
-        self._trials = trials
+    def __init__(self, trials: Sequence[tuple[EventHook, str, float]], *, dry_run: bool = False) -> None:
+        """``dry_run``: none of them was run."""
+        self._trials, self._dry_run = trials, dry_run
 
     def table(self, look: RenderOptions = PLAIN) -> str:
         """One line per hook."""
+        if self._dry_run:
+            return "".join(f"{name_program(hook)} run{DRY_RUN_SUFFIX}\n" for hook, _, _ in self._trials)
         rows: list[Row] = [
             (
                 name_program(hook),
@@ -39,7 +43,7 @@ class HookTrialsView(ListView):
         return [
             {
                 "command": name_program(hook),
-                "outcome": "failed" if why else "done",
+                "outcome": "skipped" if self._dry_run else "failed" if why else "done",
                 "duration_s": round(seconds, 3),
                 "message": why,
             }

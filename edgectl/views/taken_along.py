@@ -21,17 +21,17 @@ def explain_taken_along(step: Step, task: Task | None, last: ActionResult | None
         return
     if task.state is None:
         if _is_move(step):
-            yield "This move takes nothing along: the file of the task states no state."
+            yield "This move transfers nothing: the file of the task states no state."
         return
     subject = {Action.RESTART: "A move, unlike this restart,"}.get(step.action, "A move")
     subject = f"This move to {step.decision.host}" if _is_move(step) else subject
-    yield f"{subject} takes its state along ({_describe_rule(task)}); {_describe_left(task)}."
+    yield f"{subject} transfers its state ({_describe_rule(task)}); {_describe_left(task)}."
     if last is not None:
         yield f"Last time: {describe_last_move(last)}."
 
 
 def render_taken_along(plan: Plan, tasks: Tasks, last: LastMoves, look: RenderOptions = PLAIN) -> str:
-    """By task that moves, starts anew or has state: what goes along, and how it went last time."""
+    """By task that moves, starts anew or has state: what a move transfers, and how it went last time."""
     rows: list[Row] = [(*head("task", "now_host", "next_host"), *_HEAD)]
     for step in plan.steps:
         task = tasks.tasks.get(step.task)
@@ -48,11 +48,11 @@ def render_taken_along(plan: Plan, tasks: Tasks, last: LastMoves, look: RenderOp
                 describe_last_move(moved) if moved is not None else "-",
             )
         )
-    title = "What moves take along of the memory of tasks:\n"
+    title = "State that moves transfer:\n"
     return title + render_columns(rows, look, wrap={3, 4}) if len(rows) > 1 else ""
 
 
-_HEAD: Sequence[Cell] = (Cell("TAKEN ALONG", "head"), Cell("LAST TIME", "head"))
+_HEAD: Sequence[Cell] = (Cell("TRANSFERRED", "head"), Cell("LAST TIME", "head"))
 
 
 def describe_last_move(action: ActionResult) -> str:
@@ -76,7 +76,7 @@ def _describe_step(step: Step, task: Task) -> str:
     if task.state is None:
         return "nothing: its file states no state"
     if step.action is Action.RESTART:
-        return "nothing: a restart begins anew"
+        return "nothing: a restart begins empty"
     if step.action is Action.START:
         return "nothing, unless an interrupted move has left it"
     return _describe_rule(task) if _is_move(step) else f"nothing moves now; {_describe_rule(task)}"
@@ -98,9 +98,9 @@ def _describe_moment(task: Task) -> str:
 def _describe_left(task: Task) -> str:
     """What stays behind."""
     if _is_saved_inactive(task):
-        return "nothing that it says is left behind"
+        return "none of its output is lost"
     end = "its deactivation" if task.standby is not None else "its stop"
-    return f"what it learns between save and {end} is left behind"
+    return f"what changes between save and {end} is lost"
 
 
 def _is_saved_inactive(task: Task) -> bool:

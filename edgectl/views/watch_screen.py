@@ -8,8 +8,9 @@ import time
 from collections.abc import Callable, Iterator
 
 from edgectl.dataclass import dataclass
+from edgectl.model.assignment import Reason
 from edgectl.model.cycle import Cycle
-from edgectl.model.plan import Step
+from edgectl.model.plan import Action, Step
 from edgectl.model.resource import CPU, HOST_RESOURCES, TASK_RESOURCES
 from edgectl.model.snapshot import HostSample, ResourceUsage, TaskSample
 from edgectl.units import format_duration
@@ -37,6 +38,11 @@ _TASK_HEAD = ("", "TASK", "HOST", "STATE", *(each.title for each in TASK_RESOURC
 _TASK_RIGHT_COLUMNS = frozenset(range(4, 4 + len(TASK_RESOURCES)))
 _KEY_HELP = "q quit   p plan now   a pause"
 _HIGH_SHARE = 0.9
+# From this width on there is room for longer sparklines and for every reason.
+_WIDE_COLUMNS = 120
+_CALM_REASONS = frozenset(
+    (Reason.STILL_BEST, Reason.STILL_FITS, Reason.ONLY_FEASIBLE, Reason.PINNED, Reason.NEVER_MOVED)
+)
 _HEAD_LINES, _FOOT_LINES, _MAX_PAST_LINES = 2, 2, 5
 
 
@@ -45,7 +51,7 @@ class WatchTitle:
     """The fixed part of the first line: name of the fleet, weights, and whether plans are applied."""
 
     fleet: str
-    variant: str
+    weights: str
     applies: bool
 
 
@@ -89,7 +95,7 @@ def _render_watch_header(
     ago = "" if tally.moved_at is None else f" (last {format_duration(max(0.0, now - tally.moved_at))} ago)"
     parts = [
         style_text(escape_unprintable(title.fleet), "bold", look),
-        f"variant {title.variant}",
+        f"weights {title.weights}",
         "applies" if title.applies else "plans only",
         style_text("paused", "warn", look) if paused else _format_next_cycle(tally, now),
         f"moves {tally.moves}{ago}",
@@ -114,7 +120,7 @@ def _render_watch_hosts(tally: WatchTally, look: RenderOptions) -> list[str]:
 
 def _render_watch_host_row(name: str, host: HostSample, tally: WatchTally, look: RenderOptions) -> Row:
     strip = render_sparkline(
-        tally.shares.get(name, ()), 1.0, 12 if (look.width or 80) < 120 else 40, unicode=look.unicode
+        tally.shares.get(name, ()), 1.0, 12 if _is_narrow(look) else 40, unicode=look.unicode
     )
     if not host.measured:
         unknown = ("-",) * len(HOST_RESOURCES)
@@ -129,7 +135,7 @@ def _render_watch_host_row(name: str, host: HostSample, tally: WatchTally, look:
         strip,
         Cell(f"{share:.0%}", "bad" if share > _HIGH_SHARE else ""),
         *(_render_usage_bar(host.usage.get(each.name), look) for each in _OTHER_HOST_RESOURCES),
-        " ".join(running) or "-",
+        str(len(running)) if _is_narrow(look) else " ".join(running) or "-",
     )
 
 
@@ -151,12 +157,16 @@ def _render_watch_tasks(tally: WatchTally, look: RenderOptions) -> list[str]:
     }
     decided = {step.task: step for step in steps}
     resting = frozenset(cycle.resting) if cycle is not None else frozenset()
+    # What is calm comes last, where lines may be left out.
+    names = sorted(dict.fromkeys((*decided, *found)), key=lambda name: _is_calm(decided.get(name)))
     rows += [
-        _render_watch_task_row(name, found.get(name), decided.get(name), name in resting)
-        for name in dict.fromkeys((*decided, *found))
+        _render_watch_task_row(
+            name, found.get(name), decided.get(name), resting=name in resting, brief=_is_narrow(look)
+        )
+        for name in names
     ]
     return (
-        render_columns(rows, RenderOptions(colour=look.colour), right=_TASK_RIGHT_COLUMNS).splitlines()
+        render_columns(rows, look, right=_TASK_RIGHT_COLUMNS).splitlines()
         if len(rows) > 1
         else ["No tasks yet."]
     )
@@ -166,9 +176,14 @@ def _render_watch_task_row(
     name: str,
     found: tuple[str, TaskSample] | None,
     step: Step | None,
-    resting: bool,  # noqa: FBT001
+    *,
+    resting: bool,
+    brief: bool,
 ) -> Row:
+    """``brief``: without the reason of a task that stays as it is."""
     symbol, why = (step.action.symbol, describe_reason(step)) if step is not None else ("", "-")
+    if brief and _is_calm(step):
+        why = why.partition(":")[0]
     why = f"left alone for a while, because its last action failed; {why}" if resting else why
     if found is None:
         return (symbol, Cell(name, "name"), "-", "-", *("-",) * len(TASK_RESOURCES), why)
@@ -181,6 +196,16 @@ def _render_watch_task_row(
         *(each.unit.format(sample.used[each.name]) for each in TASK_RESOURCES),
         why,
     )
+
+
+def _is_calm(step: Step | None) -> bool:
+    """Whether the task stays as it is, for a reason that nobody has to read."""
+    kept = step is not None and step.action is Action.KEEP and step.decision.reason in _CALM_REASONS
+    return step is None or step.action is Action.NONE or kept
+
+
+def _is_narrow(look: RenderOptions) -> bool:
+    return (look.width or 80) < _WIDE_COLUMNS
 
 
 def _render_past_lines(tally: WatchTally, count: int, look: RenderOptions) -> list[str]:

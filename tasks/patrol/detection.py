@@ -116,7 +116,7 @@ def watch(robot: wire.Link, rate: float) -> None:
 def main() -> int:
     """Run until the robot's mission is over."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rate", type=float, default=5.0, help="at most so many pictures per second")
+    parser.add_argument("--rate", type=float, default=5.0, help="pictures per second at most")
     watch(wire.own_robot(), parser.parse_args().rate)
     return 0
 

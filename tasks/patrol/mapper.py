@@ -101,7 +101,7 @@ def work(robot: wire.Link, known: Map, rate: float, leave: Leave) -> bool:
 def main() -> int:
     """Run until the robot's mission is over."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rate", type=float, default=5.0, help="at most so many scans per second")
+    parser.add_argument("--rate", type=float, default=5.0, help="scans per second at most")
     args, leave = parser.parse_args(), Leave()
     signal.signal(signal.SIGTERM, leave.tell)
     robot = wire.own_robot()

@@ -62,7 +62,7 @@ def main() -> int:
     parser.add_argument("--speed", type=float, default=1.5, help="m/s")
     parser.add_argument("--scans", type=int, default=follower.SCANS, help="scans to be taken at each stop")
     parser.add_argument("--frames", type=int, default=follower.FRAMES, help="frames to be taken at each stop")
-    parser.add_argument("--tour", type=int, default=1000, help="at most so many stops")
+    parser.add_argument("--tour", type=int, default=1000, help="maximum number of stops")
     args = parser.parse_args()
     member = topics.Member("follower")
     tour = Tour(member, args)

@@ -55,7 +55,7 @@ def change(path: str, value: object) -> dict[str, Any]:
     [
         ("cpu.used_cores", 1.04, 1.06),
         ("links.robot1.rx_bytes_per_s", 1.04e6, 0.94e6),
-        ("links.robot1.rtt_ms", 2.4, 2.6),
+        ("links.robot1.rtt_ms", 3.9, 4.1),
         ("links.robot1.reachable", True, False),
         ("links.robot1.interface", "wlan0", "wlan1"),
         ("other_tasks.0.age_s", 6.3, 0.0),
@@ -78,8 +78,8 @@ def test_what_is_within_the_noise_is_not_sent(path: str, same: object, other: ob
     assert build_update(before, change(path, same), 1.0) == {}
     if path != "window_s":
         update = build_update(before, change(path, other), 1.0)
-        assert update["changed"][path.partition(".")[0]] == change(path, other)[path.partition(".")[0]]
-        assert {**before, **update["changed"]} == change(path, other)
+        assert path.partition(".")[0] in {**update["changed"], **update["entries"]}
+        assert merge_update(before, update) == change(path, other)
 
 
 def test_entries_and_keys_that_come_and_go_are_sent() -> None:
@@ -102,17 +102,42 @@ def test_an_update_has_what_changed_and_what_has_an_age_alone() -> None:
     }
 
 
+def test_of_links_and_tasks_those_that_changed_are_sent_alone() -> None:
+    """An edge has a link to each robot. Names that come or go, and what has no object for each name, are sent whole."""
+    before = {
+        "links": {f"robot{n}": {"rtt_ms": 1.0} for n in (3, 2, 1)},
+        "tasks": {"nav": {"pid": 1}},
+        "checks": {},
+    }
+    now: dict[str, Any] = json.loads(json.dumps(before))
+    now["links"]["robot2"], now["tasks"]["nav"] = {"rtt_ms": 9.0}, {"pid": 2}
+    update = build_update(before, now, 1.0)
+    assert update == {
+        "changed": {},
+        "entries": {"links": {"robot2": {"rtt_ms": 9.0}}, "tasks": {"nav": {"pid": 2}}},
+        "gone": [],
+    }
+    assert merge_update(before, update) == now
+    del now["links"]["robot3"]
+    now["checks"] = {"nav": None}
+    update = build_update(before, now, 1.0)
+    assert (update["changed"].keys(), update["entries"].keys()) == ({"links", "checks"}, {"tasks"})
+    assert merge_update(before, update) == now
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_what_the_manager_knows_is_never_wrong_by_more_than_the_noise(seed: int) -> None:
     draw = random.Random(seed)
-    known, said_at, sent = BEFORE, 0.0, 0
-    now: dict[str, Any] = json.loads(json.dumps(BEFORE))
+    link = {"rx_bytes_per_s": 1e6, "rtt_ms": 30.0}
+    known, said_at, sent = BEFORE | {"links": {"robot2": link, "robot1": link}}, 0.0, 0
+    now: dict[str, Any] = json.loads(json.dumps(known))
     for second in range(1, 200):
         now = json.loads(json.dumps(now))
         now["wall"], now["other_tasks"][0]["age_s"] = 1000.0 + second, 5.0 + second
         now["tasks"]["age_s"]["age_s"] += 1.0
         now["cpu"]["used_cores"] = max(0.0, now["cpu"]["used_cores"] + draw.uniform(-0.04, 0.04))
-        now["links"]["robot1"]["rtt_ms"] *= draw.uniform(0.9, 1.1)
+        for link in now["links"].values():
+            link["rtt_ms"] *= draw.uniform(0.9, 1.1)
         now["tasks"]["age_s"]["links"]["robot1"] *= draw.uniform(0.98, 1.02)
         if draw.random() < 0.05:
             now["tasks"]["age_s"] |= {"age_s": 0.1, "pid": second, "restarts": second}

@@ -4,31 +4,36 @@
 import re
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from edgectl.agent.link import protocol
+from edgectl.agent.link import stub as stub_module
 from edgectl.agent.measure.counters import Rates
+from edgectl.agent.measure.probe import _compute_crc32
 from edgectl.agent.measure.task import TaskMeter
 from edgectl.agent.supervise import state_dir
 from edgectl.errors import RefusedError
 from tests.agent.conftest import AgentHost, a_spec
+from tests.pace import patience
 
 LINKS = [{"robot": "robot1", "address": "127.16.98.1"}]
 LEASE = {"holder": "ana", "session": "s1", "epoch": 1}
-# What each request may load besides what Python itself does: modules of the standard library, all but ``os`` and
-# its parts in C, and a number of the agent's own.
-ALWAYS = {"os", "stat", "_stat", "posixpath", "genericpath", "_collections_abc", "gc"}
-ALWAYS |= {"_blake2", "_sha256", "_sha2", "_json", "zlib", "fcntl"}
+# What each request may load besides what Python itself does: modules of the standard library, of ``os`` only its
+# part in C, and a number of the agent's own.
+ALWAYS = {"stat", "_stat", "posixpath", "genericpath", "gc", "_blake2", "_sha256", "_sha2", "_json"}
+TASKS = {"zlib", "fcntl"}
 REQUESTS: dict[str, tuple[dict[str, Any], set[str], int]] = {
     "status": ({"task": None}, set(), 17),
     "logs": ({"task": "slam", "tail": 10}, {"select"}, 19),
-    "lease": ({"action": "renew", "lease": LEASE}, set(), 16),
-    "stop": ({"task": "slam", "instance": None, "generation": None, "stop": None}, set(), 25),
+    "lease": ({"action": "renew", "lease": LEASE}, TASKS, 16),
+    "stop": ({"task": "slam", "instance": None, "generation": None, "stop": None}, TASKS, 25),
     "wait": ({"task": "slam", "instance": "i1", "timeout_s": 0.0}, set(), 17),
-    "probe": ({"window_s": 0.0, "links": LINKS}, {"_socket", "_struct", "select", "errno"}, 31),
+    "probe": ({"window_s": 0.0}, set(), 28),
+    "probe of a link": ({"window_s": 0.0, "links": LINKS}, {"_socket", "_struct", "select", "errno"}, 33),
     "start": (
         {
             "task": "done",
@@ -36,7 +41,7 @@ REQUESTS: dict[str, tuple[dict[str, Any], set[str], int]] = {
             "generation": 1,
             "spec": a_spec("exec sleep 600", runtime="process"),
         },
-        {"select"},
+        {"select", *TASKS},
         38,
     ),
 }
@@ -58,11 +63,11 @@ def bare() -> set[str]:
     return list_modules(done.stderr)
 
 
-@pytest.mark.parametrize("op", REQUESTS)
+@pytest.mark.parametrize("name", REQUESTS)
 def test_request_loads_no_more_than_it_needs(
-    host: AgentHost, tmp_path: Path, bare: set[str], op: str
+    host: AgentHost, tmp_path: Path, bare: set[str], name: str
 ) -> None:
-    fields, allowed, own = REQUESTS[op]
+    (fields, allowed, own), op = REQUESTS[name], name.split()[0]
     report, python = tmp_path / "imports", tmp_path / "python3"
     python.write_text(f'#!/bin/sh\nexec {sys.executable} -X importtime "$@" 2>{report}\n')
     python.chmod(0o700)
@@ -78,6 +83,33 @@ def test_request_loads_no_more_than_it_needs(
     assert mine, "the report of the request is there"
     assert loaded - mine - ALWAYS <= allowed
     assert len(mine) <= own, sorted(mine)
+
+
+def test_part_of_os_becomes_the_whole_where_more_is_needed(tmp_path: Path) -> None:
+    """As subprocess or makedirs need it; what was imported before has it, too."""
+    program = """
+part, path = os, os.path
+assert "_collections_abc" not in sys.modules
+import os.path, os as again
+assert again is part and os.path is path
+assert part.environ["NAME"] == "\\udce9" and part.path.expanduser("~") == "/nowhere"
+from os import walk
+import os, subprocess
+os.makedirs(sys.argv[1] + "/a/b")
+assert part.walk is walk is os.walk and part.environ is os.environ and part.path is os.path
+assert subprocess.check_output(["/bin/echo", "x"]) == b"x\\n"
+assert not hasattr(part, "no_such_name")
+"""
+    stub = Path(stub_module.__file__).read_text().rpartition("\nif __name__")[0]
+    environment = {b"NAME": b"\xe9", b"HOME": b"/nowhere", b"LC_ALL": b"C.UTF-8"}
+    words = [sys.executable, "-I", "-S", "-c", stub + program, str(tmp_path)]
+    subprocess.run(words, env=environment, check=True, timeout=patience(10))
+    assert (tmp_path / "a" / "b").is_dir()
+
+
+@pytest.mark.parametrize("data", [b"", b"/root/.local/state/edgectl\0/dev/shm/edgectl-0", bytes(range(256))])
+def test_place_of_a_host_is_the_one_of_former_versions(data: bytes) -> None:
+    assert _compute_crc32(data) == zlib.crc32(data)
 
 
 def test_process_table_is_read_only_for_tasks_that_may_live(host: AgentHost) -> None:

@@ -74,6 +74,15 @@ def test_an_end_is_final_or_restarted(
     assert found is None or {**found, **outcome} == found, "the exit is recorded with the state"
 
 
+@pytest.mark.parametrize("kind", ["service", "job"])
+def test_a_clean_exit_that_another_has_caused_is_a_failure(kind: str) -> None:
+    assert restart_policy.decide_end({"kind": kind}, CLEAN, [], False, True) is None
+    never = restart_policy.decide_end({"kind": kind, "restart": "never"}, CLEAN, [], False, True)
+    assert never == {**CLEAN, "state": "failed", "given_up": True}
+    stopped = restart_policy.decide_end({"kind": kind}, CLEAN, [], True, True)
+    assert stopped == {**CLEAN, "state": "stopped", "left": []}
+
+
 @pytest.mark.parametrize("spec", [{}, {"restart": "always"}, {"restart": "never"}, {"kind": "job"}])
 def test_what_was_stopped_or_cannot_be_ended_is_never_restarted(spec: Document) -> None:
     assert restart_policy.decide_end(spec, CRASH, [], True) == {**CRASH, "state": "stopped", "left": []}

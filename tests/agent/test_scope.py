@@ -15,7 +15,7 @@ import pytest
 
 from edgectl.agent.link.errors import RefusalError
 from edgectl.agent.measure import proc
-from edgectl.agent.supervise import scope
+from edgectl.agent.supervise import launch, lockfile, scope
 from edgectl.errors import RefusedError
 from tests.agent.conftest import AgentHost, a_spec, eventually, is_running
 from tests.agent.test_cgroup import V1, V2, tree
@@ -92,10 +92,10 @@ def test_command_line_holds_nothing_of_the_users_own(host: AgentHost, stand_in: 
         prelude="export SAID=1",
     )
     program = "import sys;s=sys.stdin.buffer;exec(s.read(int(s.readline())))"
-    unit = stand_in.argv[4]
+    unit = stand_in.argv[3]
     assert unit.startswith("--unit=edgectl-edge1-slam-")
     assert stand_in.argv[:-5] == [
-        "--user", "--scope", "--quiet", "--collect", unit,
+        "--user", "--scope", "--collect", unit,
         "-p", "CPUQuota=25%", "-p", "MemoryMax=64000000", "-p", "OOMPolicy=continue", "--",
     ]  # fmt: skip
     assert stand_in.argv[-4:] == ["-I", "-S", "-c", program]
@@ -175,6 +175,46 @@ def test_systemd_that_hangs_is_ended_and_for_auto_done_without(
     ]
     assert b"sleep\x00611\x00" not in lines
     host.stop("slam")
+
+
+@pytest.mark.parametrize(
+    ("data", "in_time", "expected"),
+    [
+        (
+            b"12 345\nA dependency job failed.\nSee journalctl.\n",
+            True,
+            "A dependency job failed. See journalctl.",
+        ),
+        (b"12 345\nRunning scope as unit: x.scope\n", True, "the supervisor ended in its scope"),
+        (b"12 345\nRunning scope as unit: x.scope\nno module\n", True, "no module"),
+        (b"12 345\n", True, "it ended without a word"),
+        (b"12 345\n", False, "no answer within 10 s"),
+        # A machine so busy that not even the first process had come to write.
+        (b"", False, "no answer within 10 s"),
+        (b"12 345\nthe bus is gone\n", False, "the bus is gone; no answer within 10 s"),
+    ],
+)
+def test_what_is_said_of_a_systemd_run_without_a_report(data: bytes, in_time: bool, expected: str) -> None:
+    assert launch.describe_silence(data, in_time=in_time) == expected
+
+
+def test_nothing_is_started_beside_what_a_dead_supervisor_has_left(
+    host: AgentHost, stand_in: UserSystemd
+) -> None:
+    """It was killed after the start and before its report: auto must not start the task once more."""
+    (stand_in.folder / "systemd-run").write_text(
+        f"#!{sys.executable}\nimport os\nos.fork() and os._exit(0)\nfor fd in os.listdir('/proc/self/fd'):\n"
+        "    if os.path.realpath('/proc/self/fd/' + fd).rpartition('/')[2].startswith('pipe:'): os.close(int(fd))\n"
+        "os.execvp('sleep', ['sleep', '612'])\n"
+    )
+    with pytest.raises(RefusedError, match="left processes"):
+        at(host, stand_in, "auto").start("slam", "exec sleep 600", limits={"cpu": 1.0, "memory": None})
+    folder = str(host.folder("slam"))
+    holders = lockfile.find_lock_holders(folder, proc.read_process_table())
+    assert len(holders) == 1
+    os.kill(holders.pop(), signal.SIGKILL)
+    eventually(lambda: not lockfile.is_lock_held(folder))
+    assert host.entry("slam") is None
 
 
 def test_start_that_cannot_be_is_not_tried_twice(host: AgentHost, stand_in: UserSystemd) -> None:

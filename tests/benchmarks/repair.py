@@ -6,7 +6,7 @@ readings differ by what else the machine does.
 """
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from statistics import median
 from time import process_time
 
@@ -16,13 +16,13 @@ from edgectl.scheduler.choice import Choice
 from edgectl.scheduler.decided_plan import DecidedPlan
 from edgectl.scheduler.repair import repair_plan
 from tests.quality.measures import measure_yardstick
-from tests.scheduler.tight_fleets import build_full_fleet
+from tests.scheduler.tight_fleets import TightFleet, build_full_fleet
 
 SIZES = ((5, 20), (10, 50))
 TURNS = 15
 
 
-def collect_plans(edges: int, tasks: int, seeds: Sequence[int]) -> list[DecidedPlan]:
+def collect_plans(fleets: Iterable[TightFleet]) -> list[DecidedPlan]:
     """The plans in which a task of these fleets found no room."""
     found: list[DecidedPlan] = []
 
@@ -32,8 +32,8 @@ def collect_plans(edges: int, tasks: int, seeds: Sequence[int]) -> list[DecidedP
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("edgectl.scheduler.repair.repair_plan", note_plan)
-        for seed in seeds:
-            build_full_fleet(edges, tasks, seed).assign()
+        for fleet in fleets:
+            fleet.assign()
     return found
 
 
@@ -53,7 +53,8 @@ def main(arguments: Sequence[str]) -> int:
     fleets = int(arguments[0]) if arguments else 50
     print(f"yardstick {measure_yardstick():.2f} s; {fleets} fleets of each size")
     for edges, tasks in SIZES:
-        found = measure_searches(collect_plans(edges, tasks, range(fleets)), TURNS)
+        plans = collect_plans(build_full_fleet(edges, tasks, seed) for seed in range(fleets))
+        found = measure_searches(plans, TURNS)
         print(f"{edges} x {tasks}: median {median(found):.2f} ms, most {max(found):.1f} ms of {len(found)}")
     return 0
 

@@ -153,6 +153,35 @@ def test_a_mark_that_is_set_already_is_said_and_no_error(hosts: FakeFleet, run: 
     assert run("cordon", "edge3", "edge2").out == "edge/edge3 already cordoned\nedge/edge2 cordoned\n"
 
 
+def test_a_mark_is_a_document_too(hosts: FakeFleet, run: Run) -> None:
+    """Each one changes something, and changes nothing the second time; the words for people stay on stderr."""
+    place = hosts.placed["yak"]
+    for words, host, task in (
+        (["cordon", "edge3", "edge2"], "edge3", None),
+        (["uncordon", "edge3", "edge2"], "edge3", None),
+        (["move", "yak", place], None, "yak"),
+        (["unpin", "yak"], None, "yak"),
+        (["done", "yak"], None, "yak"),
+        (["reopen", "yak"], None, "yak"),
+        (["fence", "edge3", "--yes"], "edge3", None),
+        (["unfence", "edge3"], "edge3", None),
+    ):
+        for dry_run, changed in ((True, True), (False, True), (False, False)):
+            said = run(*words, "-o", "json", *["--dry-run"][: int(dry_run)])
+            document = json.loads(said.out)
+            first = document["items"][0]
+            assert (said.code, document["kind"], first["verb"]) == (0, "mark", words[0]), said
+            assert (first["host"], first["task"]) == (host, task)
+            assert (first["changed"], first["dry_run"]) == (changed, dry_run), words
+            if words[0] == "move":
+                assert (first["pin"]["pinned_to"], first["decision"]["action"]) == (place, "keep")
+                assert said.err.startswith("next apply: keep: pinned to ")
+    assert run("cordon", "edge3", "edge2", "-o", "name").out == "edge/edge3\nedge/edge2\n"
+    lines = run("uncordon", "edge3", "-o", "csv").out.splitlines()
+    assert lines[1].startswith("edge3,")
+    assert len(lines) == 2
+
+
 def test_tab_offers_the_revisions_of_this_fleet(
     hosts: FakeFleet, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -53,6 +53,8 @@ def test_each_program_is_tried(tmp_path: Path) -> None:
     out.unlink()
     dry = try_hooks(tmp_path, hooks, "events", "test", "--dry-run")
     assert (dry.code, dry.out.splitlines()) == (0, ["sh run (dry run)"] * 2)
+    document = json.loads(try_hooks(tmp_path, hooks, "events", "test", "--dry-run", "-o", "json").out)
+    assert [row["outcome"] for row in document["items"]] == ["skipped"] * 2
     assert not out.exists()
     assert try_hooks(tmp_path, hooks, "events", "test").out.splitlines()[0].split() == [
         "COMMAND",

@@ -6,6 +6,7 @@ processes of their own.
 """
 
 import contextlib
+import io
 import os
 import shlex
 import shutil
@@ -18,6 +19,7 @@ import pytest
 from edgectl.cli.app import COMMANDS, GROUP_EXAMPLES, split_docstring
 from edgectl.scaffold.write import write_scaffold
 from tests.cli.conftest import Run
+from tests.cli.inprocess import Said
 from tests.cli.terminal import Terminal
 from tests.compiled_agent import give_scaffold_keys
 from tests.docs.blocks import blocks, make_tasks_idle, stopped
@@ -180,8 +182,14 @@ def env(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
 
 
 def in_this_process(line: str, run: Run) -> int:
-    assert line.startswith("edgectl ")
-    return run(*shlex.split(line)[1:]).code
+    """The exit code; of a pipe, that of the last command, which reads what the one before has printed."""
+    said = Said(0, "", "")
+    for command in line.split(" | "):
+        assert command.startswith("edgectl ")
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(said.out.encode())))
+            said = run(*shlex.split(command)[1:])
+    return said.code
 
 
 def examples_of_files() -> list[str]:

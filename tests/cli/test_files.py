@@ -128,6 +128,8 @@ COMPLETIONS = {
     "edgectl cordon edge": ["edge1", "edge2", "edge3"],
     "edgectl plan --target nav": ["navigation-robot1", "navigation-robot2", "navigation-robot3"],
     "edgectl logs map": ["map-merge"],
+    "edgectl stop det": ["detection", "detection-robot1", "detection-robot2", "detection-robot3"],
+    "edgectl explain det": ["detection-robot1", "detection-robot2", "detection-robot3"],
     "edgectl plan --without robot": ["robot1", "robot2", "robot3"],
     "edgectl apply --dry": ["--dry-run"],
     "edgectl plan --weights c": ["cpu"],

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from edgectl.cli.app import COMMANDS
+from edgectl.cli.app import COMMANDS, GROUP_HELP
 from tests.docs.reference import PAGE, help_of, page
 
 
@@ -23,7 +23,16 @@ def test_help_of_each_command(command: str) -> None:
     assert all(re.match(r"  -[-\w]", line) for line in options), "one line per flag"
     examples = lines[lines.index("  Examples:") + 1 :]
     assert 1 <= len(examples) <= 4
-    assert all(line.startswith(f"    edgectl {command}") for line in examples)
+    assert all(line.startswith("    edgectl ") and f"edgectl {command}" in line for line in examples)
+
+
+@pytest.mark.parametrize("group", GROUP_HELP)
+def test_help_of_each_group_ends_with_examples(group: str) -> None:
+    lines = read_help(group).splitlines()
+    assert max(map(len, lines)) <= 80
+    examples = lines[lines.index("  Examples:") + 1 :]
+    assert 1 <= len(examples) <= 4
+    assert all(line.startswith(f"    edgectl {group}") for line in examples)
 
 
 def test_every_function_of_a_command_is_listed_once() -> None:

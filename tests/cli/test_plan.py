@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """plan from a snapshot, show, and their options: no host is contacted."""
 
+import io
 import json
 import os
 import shutil
@@ -66,10 +67,48 @@ def test_a_saved_plan_is_shown_as_it_was_printed(run: Run, site: Path) -> None:
         "saved next.plan; apply it with: edgectl apply next.plan\nnote: slam-robot1 "
     )
     # A plan holds no commands, so it does not know what a move takes along; the first line has the age.
-    parts = [part for part in printed.out.split("\n\n") if not part.startswith("What moves take along")]
+    parts = [part for part in printed.out.split("\n\n") if not part.startswith("State that moves transfer")]
     assert run("show", "next.plan", "-o", "wide").out.splitlines()[1:] == "\n\n".join(parts).splitlines()[1:]
     assert run("show", "next.plan", "--detailed-exitcode").code == 2
     assert (site / "next.plan").read_text() == run(*PLAN, "-o", "json").out
+
+
+def give_stdin(monkeypatch: pytest.MonkeyPatch, data: bytes) -> None:
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(data)))
+
+
+def test_documents_come_from_standard_input(run: Run, site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    snapshot = (site / "snap.json").read_bytes()
+    for words in (["plan", "-o", "json"], ["explain", "slam-robot1"], ["graph"]):
+        printed = run(*words, "--snapshot", "snap.json")
+        give_stdin(monkeypatch, snapshot)
+        assert run(*words, "--snapshot", "-") == printed, words
+    run(*PLAN, "--out", "next.plan")
+    for form in ("table", "wide", "markdown", "json", "name"):
+        give_stdin(monkeypatch, (site / "next.plan").read_bytes())
+        assert run("show", "-", "-o", form) == run("show", "next.plan", "-o", form)
+    give_stdin(monkeypatch, (site / "next.plan").read_bytes())
+    assert run("apply", "-", "--target", "slam-robot1").err.startswith("error: - is a saved plan: ")
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"", "error[EC201]: -:1:1: not JSON: Expecting value\nhint: write it again: edgectl plan -o json\n"),
+        (b'{"hosts": {}}', "hint: plan from it: edgectl plan --snapshot -\n"),
+        (b"\xff", "error[EC002]: -:1:1: byte 0xff is not UTF-8"),
+        (b"[", "edgectl plan -o json"),
+        (b" " * 100, "error[EC003]: -: the file is larger than 0 MiB"),
+    ],
+)
+def test_what_is_no_plan_on_standard_input(
+    run: Run, site: Path, monkeypatch: pytest.MonkeyPatch, data: bytes, said: str
+) -> None:
+    monkeypatch.setattr("edgectl.config.documents.MAX_DOCUMENT_BYTES", 99)
+    give_stdin(monkeypatch, data)
+    shown = run("show", "-")
+    assert (shown.code, shown.out) == (64, "")
+    assert said in shown.err
 
 
 def test_a_saved_plan_names_its_fleet_and_another_fleet_refuses_it(run: Run, site: Path) -> None:

@@ -103,6 +103,7 @@ def test_other_machines_are_not_served_without_a_token(site: Path, run: Run, whe
     assert ended.code == 64
     assert "other machines are served only with a token" in ended.err
     assert "--token-file FILE" in ended.err
+    assert f"ssh -L {where.rpartition(':')[2]}:127.0.0.1:{where.rpartition(':')[2]} MANAGER" in ended.err
 
 
 def test_a_token_file_that_is_none_is_refused(tmp_path: Path) -> None:

@@ -141,7 +141,9 @@ def test_a_command_imports_and_compiles_no_more_than(
     foreign: set[str],
 ) -> None:
     if words[0] == "logs":
-        start(*fleet, "apply", "-y")  # the order of the cases is not given
+        start(
+            *fleet, "apply", "-y", "--best-effort"
+        )  # the order of the cases is not given; nor is an idle machine
     seen = start(*fleet, *words)
     assert sorted(seen.modules & (NOT_WANTED | foreign)) == []
     assert len(seen.modules) <= most_modules
@@ -167,7 +169,7 @@ def test_a_command_asks_each_host_once(
     Logs need no robot.
     """
     if words[0] == "logs":
-        start(*fleet, "apply", "-y")
+        start(*fleet, "apply", "-y", "--best-effort")
     seen = start(*fleet, *words)
     assert seen.requests == wanted
     names = 1 if words[0] == "logs" else 2

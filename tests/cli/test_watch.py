@@ -85,7 +85,7 @@ def test_keys_plan_now_pause_and_quit(one: Path) -> None:
         terminal.type("q")
         assert terminal.wait() == 0
         assert read_terminal_modes(terminal) == before
-    assert "variant all · applies · next in " in terminal.seen
+    assert "weights all · applies · next in " in terminal.seen
     assert "\x1b[?1049l" in terminal.seen.rpartition("\x1b[?1049h")[2], "the screen from before is back"
     assert "\x1b[?25h" in terminal.seen.rpartition("\x1b[?25l")[2], "and the cursor"
 

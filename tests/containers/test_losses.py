@@ -48,6 +48,15 @@ def list_followers(host: ContainerHost) -> set[int]:
     return liveness.find_processes(record, table) - list_inside(host)
 
 
+def read_log(host: ContainerHost) -> str:
+    text: str = host.ask("logs", task="slam", tail=5000)["text"]
+    return text
+
+
+def await_runs(host: ContainerHost, number: int) -> None:
+    eventually(lambda: read_log(host).count("up\n") == number and find_settled(host), seconds=60.0)
+
+
 def kill(pids: set[int]) -> None:
     for pid in pids:
         with contextlib.suppress(ProcessLookupError):
@@ -85,8 +94,8 @@ def check_one_runs_and_ends(host: ContainerHost, engine: DockerEngine) -> None:
     assert len(engine.list_containers()) == 1
     inside = list_inside(host)
     assert inside
-    size = len(host.ask("logs", task="slam", tail=5000)["text"])
-    eventually(lambda: len(host.ask("logs", task="slam", tail=5000)["text"]) > size)
+    size = len(read_log(host))
+    eventually(lambda: len(read_log(host)) > size)
     followers = list_followers(host)
     assert host.stop("slam", timeout=120.0)["state"] == "stopped"
     assert [pid for pid in inside | followers if is_running(pid)] == []
@@ -143,6 +152,26 @@ def test_nothing_is_lost_doubled_or_left(
     for generation in (2, 3):
         repair(host, generation)
     check_one_runs_and_ends(host, engine)
+
+
+def stop_by_hand(_host: ContainerHost, engine: DockerEngine) -> None:
+    engine.call("stop", "edgectl-lab-edge1-slam")
+
+
+@pytest.mark.parametrize("engine", ["no live-restore"], indirect=True)
+def test_a_job_that_is_told_to_end_is_not_completed_by_exit_code_0(
+    host: ContainerHost, engine: DockerEngine
+) -> None:
+    """As an engine does when it ends itself, or finds containers of its former self, without live-restore."""
+    # One that is told while its shell has not read the trap yet would exit with 143.
+    host.start("slam", "trap 'exit 0' TERM; echo up; while [ ! -e /done ]; do sleep 0.1; done", kind="job")
+    for number, lose in enumerate([stop_by_hand, kill_engine, restart_engine], 1):
+        await_runs(host, number)
+        lose(host, engine)
+    await_runs(host, 4)
+    assert eventually(lambda: find_settled(host), seconds=60.0)["last_exit"] == 0
+    engine.call("exec", "edgectl-lab-edge1-slam", "touch", "/done")
+    assert host.until("slam", "completed")["exit_code"] == 0
 
 
 def test_an_engine_that_is_away_is_said_and_the_container_runs_on(

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Words that no page uses, each with the one that readers of kubectl, Terraform and ROS expect."""
+"""Words that no page, help or message uses, each with the one that readers of kubectl, Terraform and ROS expect."""
 
+import ast
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -48,6 +50,20 @@ WORDS = {
 PATTERN = re.compile(rf"(?<![\w-])(?:{'|'.join(WORDS)})(?![\w-])", re.IGNORECASE)
 
 
+def list_messages(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """The texts of a module that are no docstrings, by line: messages, hints, headings, help of options."""
+    docstrings = {
+        id(node.body[0].value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
+        and node.body
+        and isinstance(node.body[0], ast.Expr)
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings:
+            yield node.lineno, node.value
+
+
 def find_words(text: str) -> list[str]:
     """The words of the list in the prose of a page, each with its line; code and links are no prose."""
     text = re.sub(r"^( *)```.*?^ *```$", blank_lines, text, flags=re.MULTILINE | re.DOTALL)
@@ -66,6 +82,26 @@ def blank_lines(code: re.Match[str]) -> str:
 def test_no_page_uses_a_word_of_the_list(page: Path) -> None:
     found = find_words(page.read_text())
     assert found == [], [f"better: {better}" for better in WORDS.values()]
+
+
+def test_no_help_of_a_command_uses_a_word_of_the_list() -> None:
+    assert [found[0] for found in PATTERN.finditer((DOCS / "cli.md").read_text())] == []
+
+
+def test_no_message_uses_a_word_of_the_list() -> None:
+    found = [
+        f"{path.relative_to(ROOT)}:{line}: {text}"
+        for path in sorted((ROOT / "edgectl").rglob("*.py"))
+        for line, text in list_messages(ast.parse(path.read_text()))
+        if " " in text and PATTERN.search(text)
+    ]
+    assert found == []
+
+
+def test_texts_are_messages_and_docstrings_are_not() -> None:
+    code = 'def f():\n    """It says."""\n    raise E(f"{x} goes on", hint="nobody knows")\n'
+    found = [text for _, text in list_messages(ast.parse(code)) if PATTERN.search(text)]
+    assert found == [" goes on", "nobody knows"]
 
 
 def test_a_word_of_the_list_is_found_with_its_line() -> None:

@@ -354,6 +354,12 @@ def test_a_jump_host_that_fails_is_not_mended_on_the_host_behind_it(kind: str) -
     assert found.remedy == "see which login fails: ssh -v -p 22911 -J gate edge1.lab true"
 
 
+def test_an_unknown_name_is_mended_in_the_files() -> None:
+    answer = UnreachableHost(kind="connect", error="name unknown (Name or service not known)")
+    found = diagnose_no_answer(an_edge(), answer)
+    assert found.remedy == "correct its host: (edge1.lab) in the inventory, or name it in your ssh_config"
+
+
 def test_lines_to_paste_have_port_key_and_jump() -> None:
     host = an_edge(port=22911, user="ana", identity_file="/keys/my key", proxy_jump="gate")
     words = "-p 22911 -i '/keys/my key' -J gate ana@edge1.lab"

@@ -130,7 +130,7 @@ def test_events_act_on_hosts_and_on_the_manager_and_are_undone(bench: Bench, tmp
     assert (records["first"].kind, records["first"].subject, records["first"].at) == ("link", "zinc", 0.0)
     assert (records["first"].until or 0.0) >= trial.latency - 1.0, "undone at the end of the trial"
     assert 0.3 <= (records["half"].until or 0.0) - records["half"].at < patience(10.0)
-    assert records["door"].error == "nobody confirmed it within 0.3 s"
+    assert records["door"].error == "no one confirmed it within 0.3 s"
     assert records["broken"].error == "false exited with 1"
     assert [record.error for name, record in records.items() if name not in ("door", "broken")] == [""] * 4
     starts = {span.task: span.start for span in trial.spans}

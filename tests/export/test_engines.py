@@ -20,9 +20,10 @@ from edgectl.config.load import load_inventory_and_tasks
 from edgectl.errors import UsageError
 from edgectl.export.bluechi import PLACEMENTS_FILE, build_bluechi_units, quote_argument
 from edgectl.export.compose import build_compose_files
-from edgectl.export.engine_task import EngineFiles, EngineTask
+from edgectl.export.engine_task import EngineFiles, EngineTask, select_probe
 from edgectl.export.kubernetes import build_manifests
 from edgectl.export.nomad import build_nomad_jobs
+from edgectl.model.check import Check
 from edgectl.model.manager_state import ManagerState
 from edgectl.transport.fake import FakeTransport
 from edgectl.usecases.engine_export import list_engine_tasks, list_left_out, plan_for_engine
@@ -179,8 +180,24 @@ def test_kubernetes_says_what_the_plan_says(placed: list[EngineTask]) -> None:
         "nav_stack.2, survey: needs are left out",
         "survey: secrets are expected",
         "slam: stop signal INT",
+        "slam: checks are asked in the container; edgectl asks them on the host",
     ):
         assert part in notes
+
+
+@pytest.mark.parametrize(
+    ("command", "asked"),
+    [
+        ("""docker exec "$EDGECTL_CONTAINER" sh -c 'test -e /tmp/up && true'""", "test -e /tmp/up && true"),
+        ("podman exec $EDGECTL_CONTAINER rosnode info /slam", "rosnode info /slam"),
+        ("docker exec -i ${EDGECTL_CONTAINER} sh -c", "sh -c"),
+        ("docker exec $EDGECTL_CONTAINER echo 'open", "echo 'open"),
+        ("docker exec other test -e /up", "docker exec other test -e /up"),
+        ("curl -f http://localhost", "curl -f http://localhost"),
+    ],
+)
+def test_a_check_in_the_container_is_asked_there_by_every_engine(command: str, asked: str) -> None:
+    assert select_probe(Check(command=command)) == asked
 
 
 def test_shares_are_of_the_host_of_the_plan(placed: list[EngineTask]) -> None:

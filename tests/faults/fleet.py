@@ -30,7 +30,7 @@ from tests.faults.messages import Subscriber, subscribe
 from tests.faults.namespace_host import NamespaceHost, start_namespace_hosts
 from tests.faults.oracle import OracleVerdict
 from tests.faults.relay import Relay
-from tests.faults.swarm_fleet import await_nodes, form_swarm, list_left_services
+from tests.faults.swarm_fleet import await_nodes, form_swarm, list_left_services, trust_manager
 from tests.pace import patience
 
 EDGECTL = Path(sys.executable).with_name("edgectl")
@@ -235,9 +235,11 @@ class FaultFleet:
         )
 
     def trust_host_keys(self) -> None:
-        """Accept the present host keys."""
+        """Accept the present host keys, also on the workers of a swarm."""
         self.keys = {}
         self.write_files()
+        if self.swarm:
+            trust_manager(self)
 
     def get_relay(self, name: str) -> Relay:
         """Return the relay to host ``name``; the first call inserts it."""

@@ -51,14 +51,25 @@ def _give_context(fleet: "FaultFleet", worker: NamespaceHost, manager: Namespace
     folder = worker.home / ".ssh"
     folder.mkdir(mode=0o700)
     shutil.copy(fleet.key_file, folder / "id")
-    (folder / "known_hosts").write_text(f"{manager.address} {manager.key}\n")
     (folder / "config").write_text(f"IdentityFile ~/.ssh/id\nHost {manager.address}\n  User {USER}\n")
+    _trust(worker, manager)
     for path in (folder, *folder.iterdir()):
         os.chown(path, _UID, _UID)
         path.chmod(0o700 if path == folder else 0o600)
     place = f"host=ssh://{USER}@{manager.address}"
     done = worker.run("docker", "context", "create", CONTEXT, "--docker", place)
     assert done.returncode == 0, done.stderr
+
+
+def _trust(worker: NamespaceHost, manager: NamespaceHost) -> None:
+    (worker.home / ".ssh" / "known_hosts").write_text(f"{manager.address} {manager.key}\n")
+
+
+def trust_manager(fleet: "FaultFleet") -> None:
+    """Have the user of each worker accept the present host key of the manager."""
+    manager, *workers = (fleet.get_computer(name) for name in fleet.edges)
+    for worker in workers:
+        _trust(worker, manager)
 
 
 def await_nodes(fleet: "FaultFleet") -> None:

@@ -6,16 +6,17 @@ import json
 import math
 import random
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
 from edgectl.errors import ReplyError
 from edgectl.formats.kinds import SNAPSHOT_KIND
-from edgectl.gateway.link_observations import LinkEnds, join_link_ends
+from edgectl.gateway.link_observations import JoinedLinks, LinkEnds, join_link_ends
 from edgectl.gateway.probe_reply import (
     ASSUMED_BYTES_PER_S,
     ReplyContext,
+    build_host_sample,
     decode_host_sample,
     decode_probe,
     list_done_tasks,
@@ -260,6 +261,29 @@ def test_traffic_that_is_partly_seen_does_not_tell_what_a_link_carries() -> None
     assert [each.carries_bytes_per_s for each in found.values()] == [None, 1e6]
 
 
+def test_links_whose_ends_say_the_same_are_joined_once() -> None:
+    def read(host: Host, **fields: object) -> LinkEnds:
+        reply = decode_probe(a_document(host=host.name, **fields), host)
+        return LinkEnds(links=reply.links, peers=reply.peers)
+
+    robot, pair, joined = a_robot("robot1"), ("edge1", "robot1"), cast("JoinedLinks", {})
+    ends = {
+        "edge2": read(an_edge("edge2"), links={"robot1": {"carries_bytes_per_s": 1e6}}),
+        "edge1": read(an_edge("edge1"), links={"robot1": {"rtt_ms": 1.0}}),
+        "robot1": read(robot, links={}, peers={"edge1": {"radio_bytes_per_s": 5e6}}),
+    }
+    first = join_link_ends(ends, joined=joined)
+    assert all(join_link_ends(ends, joined=joined)[each] is first[each] for each in first)
+    # What is partly seen in one cycle is whole in the next one.
+    assert join_link_ends(ends, {("edge2", "robot1")}, joined)["edge2", "robot1"].carries_bytes_per_s is None
+    ends["robot1"] = read(robot, links={}, peers={"edge1": {"radio_bytes_per_s": 2e6}})
+    assert join_link_ends(ends, joined=joined) == join_link_ends(ends)
+    assert join_link_ends(ends, joined=joined)[pair].radio_bytes_per_s == 2e6
+    del ends["robot1"]
+    assert join_link_ends(ends, joined=joined) == join_link_ends(ends)
+    assert join_link_ends(ends, joined=joined)["edge2", "robot1"] is first["edge2", "robot1"]
+
+
 def test_a_robot_has_no_links() -> None:
     assert decode_document(a_document(), a_robot("edge1")).links == {}
 
@@ -496,6 +520,69 @@ def test_what_a_reply_repeats_is_not_decoded_again_and_reads_as_if_it_were() -> 
             later = {name: each for name, each in before.items() if name != key}
             later |= {} if value is ... else {key: value}
             assert decode_or_refuse(later, host, known) == decode_or_refuse(later, host, None), (key, value)
+
+
+def test_an_entry_that_is_repeated_is_not_decoded_again() -> None:
+    """Entries whose name or value does not fit make no difference, whether they come, stay or go."""
+    host = an_edge("edge1")
+    links: dict[str, object] = {f"robot{n}": {"rx_bytes_per_s": n, "rtt_ms": 1.0} for n in (3, 2, 1)}
+    odd: list[dict[str, object]] = [
+        {}, {"robot2": {"rtt_ms": 5.0}}, {"robot2": None}, {"robot2": {"rtt_ms": "x"}}, {"robot4": {}},
+        {"robot\n4": {}, "robot?4": {"rtt_ms": 2.0}},
+    ]  # fmt: skip
+    for first in odd:
+        before = a_document(links={**links, **first})
+        known = (before, decode_probe(before, host))
+        for second in odd:
+            for gone in (None, "robot3", "robot4"):
+                later = {**cast("dict[str, object]", before["links"]), **second}
+                later.pop(gone or "", None)
+                document = {**before, "links": later}
+                again, whole = (decode_or_refuse(document, host, each) for each in (known, None))
+                assert again == whole, (first, second, gone)
+                if isinstance(again, ProbeReply) and isinstance(whole, ProbeReply):
+                    assert list(again.links) == list(whole.links)
+    before = a_document(links=links)
+    known = (before, decode_probe(before, host))
+    found = decode_probe({**before, "links": {**links, "robot2": {"rtt_ms": 5.0}}}, host, known)
+    assert [found.links[name] is known[1].links[name] for name in links] == [True, False, True]
+
+
+@pytest.mark.parametrize("host", [an_edge("edge1"), SLICE], ids=["machine", "slice"])
+def test_a_sample_made_of_the_one_before_is_as_if_it_were_made_anew(host: Host) -> None:
+    """Whatever of links, interfaces, tasks and checks has changed meanwhile, in which order ever."""
+    draw, kept = random.Random(7), 0
+    robots = {name: {"rx_bytes_per_s": 1e3, "interface": "eth0"} for name in ("robot3", "robot2", "robot1")}
+    context = ReplyContext(
+        host=host, answered_at=NOW, robots=("robot1", "robot2", "robot3"), declared={"robot2": 5e6},
+        robots_of={"slam": ("robot1",)}, checked=frozenset({"slam"}),
+    )  # fmt: skip
+    tasks: list[dict[str, object]] = [{}, {}, {"slam": a_task()}, {"slam": a_task(partial="udp unseen")}]
+    document, known = a_document(links=robots, tasks={}), None
+    for _ in range(300):
+        document = dict(document)
+        name = draw.choice(list(robots))
+        if draw.random() < 0.5:
+            changed = {"rx_bytes_per_s": draw.random(), "interface": draw.choice(["eth0", "eth1"])}
+            document["links"] = {**cast("dict[str, object]", document["links"]), name: changed}
+        if draw.random() < 0.3:
+            nic = {
+                "rx_bytes_per_s": 1,
+                "tx_bytes_per_s": 1,
+                "speed_bytes_per_s": draw.choice([None, 1e8, 2e8]),
+            }
+            document["interfaces"] = {draw.choice(["eth0", "eth1"]): nic}
+        if draw.random() < 0.3:
+            document["tasks"] = draw.choice(tasks)
+        if draw.random() < 0.2:
+            document["checks"] = draw.choice([{}, {"slam": {"exit": 0}}])
+        before = None if known is None else (known[0], known[1])
+        reply = decode_probe(document, host, before)
+        sample = build_host_sample(reply, document, context, None if known is None else known[1:])
+        assert sample == build_host_sample(reply, document, context)
+        kept += any(known[2].links[name] is link for name, link in sample.links.items()) if known else 0
+        known = (document, reply, sample)
+    assert kept > 20
 
 
 def decode_or_refuse(document: Document, host: Host, known: tuple[Document, ProbeReply] | None) -> object:

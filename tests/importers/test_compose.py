@@ -93,7 +93,7 @@ def test_services_become_tasks(imported: tuple[dict[str, Task], list[str]]) -> N
     assert (zed.limits.cpu, zed.limits.memory) == (2.0, 2**30)
     assert (zed.stop.signal, zed.stop.grace) == ("INT", 30.0)
     assert zed.ready is not None
-    assert zed.ready.command == "test -e /tmp/up"
+    assert zed.ready.command == """docker exec "$EDGECTL_CONTAINER" sh -c 'test -e /tmp/up'"""
     assert {"ROS_DOMAIN_ID": "7", "DEBUG": "false"}.items() <= zed.env.items()
     assert zed.command == ""
 

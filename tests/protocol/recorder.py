@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is seen of a fleet on its hosts while it is broken: who is granted the fleet, what starts, and what stops.
 
-Reads the records that hosts keep (two versions of each, numbered), and shares no code with edgectl. What is seen at
-one look may have happened in any order. A grant of which no look saw the record is a gap: epochs are counted.
+Reads the records that hosts keep (two versions of each, numbered), and shares no code with edgectl. The hosts are
+looked at one after the other, which takes long on a busy machine: what may have happened in another order than it was
+seen stands together. A grant of which no look saw the record is a gap: epochs are counted.
 """
 
 import json
 import threading
+import time
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -31,19 +33,34 @@ class Event:
     task: str = ""
 
 
+Group = tuple[frozenset[Event], float]
+"""Events of which no order is known, and when the last of them was seen."""
+
+
+def add_events(groups: list[Group], events: frozenset[Event], after: float, until: float) -> None:
+    """Add what happened on a host between its look ``after`` and now: together with all that was seen since then
+    elsewhere, which may be later. What happened twice stays apart.
+    """
+    while groups and after < groups[-1][1] and not events & groups[-1][0]:
+        earlier, seen = groups.pop()
+        events, until = events | earlier, max(until, seen)
+    groups.append((events, until))
+
+
 @dataclass(kw_only=True)
 class Recorder:
     """Looks at the hosts until it is told to end. ``homes``: host -> its home directory."""
 
     homes: Mapping[str, Path]
     fleet: str
-    looks: list[frozenset[Event]] = field(default_factory=list)
+    groups: list[Group] = field(default_factory=list)
     gaps: list[str] = field(default_factory=list)
     instances: set[str] = field(default_factory=set)
     _seen: dict[Path, int] = field(default_factory=dict)
     _epochs: dict[str, int] = field(default_factory=dict)
     _living: dict[tuple[str, str], str] = field(default_factory=dict)
     _bases: dict[str, Path] = field(default_factory=dict)
+    _looked: dict[str, float] = field(default_factory=dict)
     _over: threading.Event = field(default_factory=threading.Event)
 
     def run(self) -> None:
@@ -51,8 +68,16 @@ class Recorder:
         last = False
         while not last:
             last = self._over.wait(PAUSE_S)
-            if events := frozenset(self._look()):
-                self.looks.append(events)
+            for host, home in self.homes.items():
+                began = time.monotonic()
+                if events := frozenset(self._look(host, home)):
+                    add_events(self.groups, events, self._looked.get(host, began), time.monotonic())
+                self._looked[host] = began
+
+    @property
+    def looks(self) -> list[frozenset[Event]]:
+        """What was seen, in its order: what stands together may have happened in any order."""
+        return [events for events, _ in self.groups]
 
     def __enter__(self) -> "Recorder":
         self._thread = threading.Thread(target=self.run, daemon=True)
@@ -67,14 +92,13 @@ class Recorder:
         self._over.set()
         self._thread.join()
 
-    def _look(self) -> Iterator[Event]:
-        for host, home in self.homes.items():
-            base = self._bases.get(host) or next(home.glob(f"**/agent-state/{self.fleet}"), None)
-            if base is not None:
-                self._bases[host] = base
-                yield from self._look_at_lease(host, base / "lease")
-                for path in sorted(base.glob("hosts/*/tasks/*/status")):
-                    yield from self._look_at_task(host, path)
+    def _look(self, host: str, home: Path) -> Iterator[Event]:
+        base = self._bases.get(host) or next(home.glob(f"**/agent-state/{self.fleet}"), None)
+        if base is not None:
+            self._bases[host] = base
+            yield from self._look_at_lease(host, base / "lease")
+            for path in sorted(base.glob("hosts/*/tasks/*/status")):
+                yield from self._look_at_task(host, path)
 
     def _look_at_lease(self, host: str, path: Path) -> Iterator[Event]:
         for document in self._read_new(path):

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.protocol.observed import Observation, check_observation, list_observable_faults, observe_fault
-from tests.protocol.recorder import Event
+from tests.protocol.recorder import Event, Group, add_events
 
 FAULTS = {each.name: each for each in list_observable_faults()}
 
@@ -42,6 +42,17 @@ def test_the_model_allows_what_a_manager_may_do(name: str, tmp_path: Path) -> No
     looks, allowed = CASES[name]
     fits, verdict = check_observation(Observation(fault=name, seed=0, looks=looks, gaps=[]), tmp_path)
     assert fits is allowed, verdict.text[-2000:]
+
+
+def test_what_is_seen_later_is_not_taken_for_what_happened_later() -> None:
+    """The machine was busy between the looks at two hosts, while a task was stopped on one and started on the other."""
+    groups: list[Group] = []
+    add_events(groups, change("start", "x"), 0.1, 1.0)
+    add_events(groups, change("stop", "y"), 0.0, 1.2)
+    assert groups == [(change("start", "x") | change("stop", "y"), 1.2)]
+    add_events(groups, change("start", "y"), 1.2, 1.3)
+    add_events(groups, change("start", "y"), 1.2, 1.4)
+    assert [events for events, _ in groups[1:]] == [change("start", "y")] * 2
 
 
 @pytest.mark.timeout(600)

@@ -26,6 +26,20 @@ def test_a_contact_only_becomes_later(tmp_path: Path) -> None:
     assert load_heartbeats(tmp_path).last["edge1"] == a_reachable_fleet(1.0, "b")
 
 
+def test_a_file_that_nobody_replaced_is_read_once(tmp_path: Path) -> None:
+    """Another process may replace it, or remove it, at any time."""
+    record_heartbeats(tmp_path, {"edge1": a_reachable_fleet(10.0)})
+    known = load_heartbeats(tmp_path)
+    assert load_heartbeats(tmp_path) is known
+    path = tmp_path / "contacts.json"
+    other = tmp_path / "other"
+    other.write_text(path.read_text().replace("10", "90"))
+    other.replace(path)
+    assert load_heartbeats(tmp_path).last == {"edge1": a_reachable_fleet(90.0)}
+    path.unlink()
+    assert load_heartbeats(tmp_path).last == {}
+
+
 def test_commands_at_once_lose_no_contact(tmp_path: Path) -> None:
     writers = [
         threading.Thread(target=record_heartbeats, args=(tmp_path, {f"edge{number}": a_reachable_fleet(1.0)}))

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -71,6 +71,37 @@ def test_a_feed_merges_what_changed_and_notes_when_the_host_spoke() -> None:
     assert third.said_at > second.said_at > first.said_at
 
 
+def test_a_feed_keeps_the_entries_of_which_nothing_was_said() -> None:
+    links = {"robot2": {"rtt_ms": 1.0}, "robot1": {"rtt_ms": 1.0}}
+    feed = a_feed(WHOLE | {"links": links})
+    first = feed.find_reading()
+    feed.add(frame({"changed": {}, "entries": {"links": {"robot1": {"rtt_ms": 9.0}}}, "gone": []}))
+    second = feed.find_reading()
+    assert first is not None
+    assert second is not None
+    before, after = (cast("dict[str, Any]", each.document["links"]) for each in (first, second))
+    assert after == {"robot2": {"rtt_ms": 1.0}, "robot1": {"rtt_ms": 9.0}} != before == links
+    assert after["robot2"] is before["robot2"]
+
+
+def test_a_reading_is_taken_up_when_it_is_looked_for_and_is_as_old_as_it_is() -> None:
+    feed, waiting = a_feed(WHOLE), [(frame({}), time.monotonic() - 1.0)]
+    first = feed.reading
+
+    def take_up() -> None:
+        for each in waiting:
+            feed.add(*each)
+
+    feed.take_up = take_up
+    found = feed.find_reading()
+    assert first is not None
+    assert found is not None
+    assert (found.document, found.came_at, found.said_at) == (first.document, first.came_at, waiting[0][1])
+    waiting[:] = [(frame({"changed": {"v": 3}, "gone": []}), time.monotonic() - readings.SILENT_S - 1.0)]
+    assert feed.find_reading() is None
+    assert feed.silent_s > readings.SILENT_S
+
+
 def test_a_reply_may_come_in_pieces() -> None:
     feed = a_feed()
     for byte in frame(WHOLE) + frame({"changed": {"v": 2}, "gone": []}):
@@ -86,6 +117,10 @@ def test_a_reply_may_come_in_pieces() -> None:
         [],
         {"changed": []},
         {"changed": {}, "gone": "v"},
+        {"changed": {}, "entries": [], "gone": []},
+        {"changed": {}, "entries": {"cpu": []}, "gone": []},
+        {"changed": {}, "entries": {"links": {"robot1": {}}}, "gone": []},
+        {"changed": {}, "entries": {"resident": {"robot1": {}}}, "gone": []},
         {"error": {"kind": "agent-error", "message": "a bug", "hint": ""}},
         {"changed": {"v": "x" * 20_000}, "gone": []},
     ],

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 
 import paramiko
@@ -16,12 +17,13 @@ from paramiko.common import MSG_CHANNEL_SUCCESS
 from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError, HostKeyError, ReplyError
 from edgectl.model.inventory import Connection, Host
 from edgectl.transport.agent_client import call_agent
-from edgectl.transport.base import Reply, Transport
+from edgectl.transport.base import ConversableSession, Reply, RestingExchange, Transport
 from edgectl.transport.fleet_transport import FleetTransport
 from edgectl.transport.sockets import ProxySocket, start_proxy_command
 from tests.pace import patience
 from tests.relay import RelayFault, run_mute_server, run_relay
 from tests.sshd import Lab, make_key, running_lab
+from tests.transport.test_conversation import until
 
 
 @pytest.fixture(params=[Connection.SSH, Connection.OPENSSH])
@@ -69,6 +71,37 @@ def test_bytes_go_in_and_out_unchanged(lab: Lab, transport: Transport, connectio
         transport, lab.host("edge1", connection=connection), "cat; echo oops >&2; exit 3", data, limit=4 << 20
     )
     assert (reply.stdout, reply.stderr, reply.status) == (data, b"oops\n", 3)
+
+
+def test_an_exchange_that_rests_wakes_nobody_until_it_ends(lab: Lab, transport: Transport) -> None:
+    """What came is there, with its time, for whoever looks; once it no longer rests, it wakes its reader."""
+    session = transport.connect(lab.host("edge1"), timeout=BUSY_S)
+    assert isinstance(session, ConversableSession)
+    made = session.converse("cat", b"", timeout=BUSY_S, give_way=lambda: None)
+    with session, closing(made) as exchange:
+        assert isinstance(exchange, RestingExchange)
+        exchange.rest(resting=True)
+        for word in (b"one\n", b"two\n"):
+            before = time.monotonic()
+            exchange.write(word, timeout=BUSY_S)
+            until(exchange.has_arrived)
+            assert before < exchange.arrived_at <= time.monotonic()
+            asleep = time.monotonic()
+            exchange.await_arrival(0.05)
+            assert time.monotonic() >= asleep + 0.05
+            assert exchange.read(timeout=0.0) == word
+            assert not exchange.has_arrived()
+        exchange.write(b"three\n", timeout=BUSY_S)
+        until(exchange.has_arrived)
+        exchange.rest(resting=False)
+        before = time.monotonic()
+        exchange.await_arrival(BUSY_S)
+        assert exchange.read(timeout=0.0) == b"three\n"
+        exchange.rest(resting=True)
+        exchange.finish(b"", timeout=BUSY_S)
+        exchange.await_arrival(BUSY_S)
+        assert exchange.read(timeout=0.0) == b""
+        assert time.monotonic() < before + BUSY_S
 
 
 def test_each_server_is_a_host_of_its_own(lab: Lab, transport: Transport, connection: Connection) -> None:

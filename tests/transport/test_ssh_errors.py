@@ -74,6 +74,21 @@ def test_rows(error: Exception, kind: type[HostError], words: str) -> None:
     assert (ours.host, "\n" in ours.message) == ("edge1", False)
 
 
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (socket.gaierror(-2, "unknown"), "Could not resolve hostname edge9"),
+        (ConnectionRefusedError(111, "refused"), "port 22: Connection refused"),
+    ],
+)
+def test_a_hint_names_what_can_be_wrong_in_both_transports(error: Exception, said: str) -> None:
+    """A host that refuses is on, and one whose name is unknown was not asked at all."""
+    ours = ssh_errors.translate_ssh_error(error, "edge9")
+    assert ours.hint == openssh.translate_openssh_error(said.encode(), "edge9").hint
+    assert "host: " in ours.hint
+    assert "switched on" not in ours.hint
+
+
 def test_our_own_errors_pass() -> None:
     error = HostKeyError("changed", hint="look")
     assert ssh_errors.translate_ssh_error(error, "edge1") is error

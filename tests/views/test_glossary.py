@@ -36,6 +36,7 @@ from edgectl.views.hook_trials import HookTrialsView
 from edgectl.views.host_keys import HostKeysView
 from edgectl.views.listing import AllListingsView, ListingChangesView
 from edgectl.views.listing_items import ListingKind, compare_listings
+from edgectl.views.marks import Mark, MarksView
 from edgectl.views.output import EnvelopeView, ItemView, ListView, View
 from edgectl.views.profile import ProfileView
 from edgectl.views.profilers import ProfilersView
@@ -121,6 +122,7 @@ def list_views() -> Iterator[View]:
     yield ContextsView(
         [ContextRow(name="lab", chosen=True, inventories=("lab.yaml",), tasks=(), origin="edgectl.yaml:3")]
     )
+    yield MarksView("fence", [Mark(subject="edge", name="edge1", act="fenced")], dry_run=True)
     yield WaitView([TaskProgress(task="slam", reached=True, state="ready", host="edge1")], AwaitedState.READY)
 
 

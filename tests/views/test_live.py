@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from edgectl.model.assignment import Reason
 from edgectl.model.cycle import Cycle
 from edgectl.model.event import Event, EventKind
 from edgectl.model.plan import Action
@@ -16,13 +17,14 @@ from edgectl.units import format_instant
 from edgectl.views import watch_cycle
 from edgectl.views.output import render_view
 from edgectl.views.output_format import OutputFormat
+from edgectl.views.reasons import describe_reason
 from edgectl.views.text import RenderOptions
 from edgectl.views.watch_cycle import CycleView, WatchTally, add_cycle_to_tally
 from edgectl.views.watch_screen import WatchTitle, render_watch_screen
 from tests.builders import NOW, silent
 from tests.views.fixtures import fleet, plan
 
-TITLE = WatchTitle(fleet="lab", variant="all", applies=True)
+TITLE = WatchTitle(fleet="lab", weights="all", applies=True)
 MOVED = ActionResult(
     task="slam-robot1",
     action=Action.MOVE,
@@ -145,7 +147,7 @@ def test_the_screen_fits_and_says_what_counts(width: int, rows: int, look: Rende
     text = render_watch_screen(TITLE, tally, NOW + 325.5, rows=rows, look=look)
     lines = text.splitlines()
     assert len(lines) <= rows
-    assert "variant all" in lines[0]
+    assert "weights all" in lines[0]
     assert "moves 8 (last 4m" in lines[0]
     assert "working" in lines[0]
     assert "HOST" in lines[2]
@@ -159,15 +161,42 @@ def test_the_screen_fits_and_says_what_counts(width: int, rows: int, look: Rende
         assert any("slam-robot1" in line and "edge1" in line for line in lines)
 
 
+def test_in_eighty_columns_decisions_that_count_are_whole_and_first() -> None:
+    """A task that is kept for a calm reason has the word alone, so that it takes one line."""
+    made = plan()
+    assert len(made.steps) > 3
+    forced = next(step for step in made.steps if step.decision.reason is Reason.FORCED_INFEASIBLE)
+    moving = dataclasses.replace(made.steps[-1], action=Action.MOVE, decision=forced.decision)
+    kept = [
+        dataclasses.replace(
+            step,
+            action=Action.KEEP,
+            stop=(),
+            decision=dataclasses.replace(step.decision, reason=Reason.STILL_BEST),
+        )
+        for step in made.steps[:-1]
+    ]
+    tally = add_cycle_to_tally(WatchTally(), cycle(plan=dataclasses.replace(made, steps=(*kept, moving))))
+    for width in (80, 160):
+        look = RenderOptions(width=width)
+        lines = render_watch_screen(TITLE, tally, NOW, rows=60, look=look).splitlines()
+        head = next(place for place, line in enumerate(lines) if "DECISION" in line)
+        assert lines[head + 1].split()[:2] == ["~", forced.task]
+        shown = " ".join(" ".join(lines[head:]).split())
+        assert describe_reason(moving) in shown
+        assert ("keep: still the best host" in shown) == (width == 160)
+        assert max(map(len, lines[head:])) <= width
+
+
 def test_the_first_line_says_what_it_is_about_to_do() -> None:
     once = add_cycle_to_tally(WatchTally(), steady())
     assert (
         render_watch_screen(TITLE, WatchTally(), NOW).splitlines()[0]
-        == "lab | variant all | applies | first cycle | moves 0 | steady 0 cycles"
+        == "lab | weights all | applies | first cycle | moves 0 | steady 0 cycles"
     )
     assert (
         render_watch_screen(TITLE, once, NOW + 12.0).splitlines()[0]
-        == "lab | variant all | applies | next in 8s | moves 0 | steady 1 cycle"
+        == "lab | weights all | applies | next in 8s | moves 0 | steady 1 cycle"
     )
     assert (
         " | paused | "

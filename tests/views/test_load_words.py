@@ -141,7 +141,7 @@ def test_watch_in_lines_and_for_programs() -> None:
 
 def test_the_screen_of_watch_shows_each_line_of_the_past_whole() -> None:
     title, tally = (
-        WatchTitle(fleet="lab", variant="all", applies=True),
+        WatchTitle(fleet="lab", weights="all", applies=True),
         add_cycle_to_tally(WatchTally(), CYCLE),
     )
     lines = render_watch_screen(title, tally, NOW, look=AT_80).splitlines()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What moves take along of the memory of a task, in explanations and wide plans."""
+"""State that moves transfer of the memory of a task, in explanations and wide plans."""
 
 import json
 from dataclasses import replace
@@ -58,27 +58,27 @@ def tell(step: Step, task: Task, last: ActionResult | None = None) -> list[str]:
         (
             SLAM,
             (
-                "This move to edge1 takes its state along (what save prints, while the old instance runs); "
-                "what it learns between save and its stop is left behind."
+                "This move to edge1 transfers its state (what save prints, while the old instance runs); "
+                "what changes between save and its stop is lost."
             ),
         ),
         (
             WARM,
             (
-                "This move to edge1 takes its state along (what save prints, while no instance is active); "
-                "nothing that it says is left behind."
+                "This move to edge1 transfers its state (what save prints, while no instance is active); "
+                "none of its output is lost."
             ),
         ),
         (
             replace(WARM, state=StateRule(topic="/map", moment=SaveMoment.ACTIVE)),
             (
-                "This move to edge1 takes its state along (the last message of /map, while the old instance is "
-                "active); what it learns between save and its deactivation is left behind."
+                "This move to edge1 transfers its state (the last message of /map, while the old instance is "
+                "active); what changes between save and its deactivation is lost."
             ),
         ),
         (
             replace(SLAM, state=None),
-            "This move takes nothing along: the file of the task states no state.",
+            "This move transfers nothing: the file of the task states no state.",
         ),
     ],
     ids=["cold", "warm", "early", "without"],
@@ -89,8 +89,8 @@ def test_a_move_says_what_goes_along_and_what_stays_behind(task: Task, said: str
 
 def test_other_steps_take_nothing() -> None:
     keep, restart = a_step("slam", Action.KEEP, host="edge1"), a_step("slam", Action.RESTART, host="edge1")
-    assert tell(keep, SLAM)[0].startswith("A move takes its state along (what save prints")
-    assert tell(restart, SLAM)[0].startswith("A move, unlike this restart, takes its state along")
+    assert tell(keep, SLAM)[0].startswith("A move transfers its state (what save prints")
+    assert tell(restart, SLAM)[0].startswith("A move, unlike this restart, transfers its state")
     assert tell(keep, replace(SLAM, state=None)) == tell(a_move(), replace(SLAM, managed=False)) == []
 
 
@@ -115,7 +115,7 @@ def test_a_wide_plan_lists_what_moves_take_along() -> None:
     tasks = some_tasks(WARM, a_task("nav"), a_task("map"))
     look = RenderOptions(width=80)
     text = PlanView(a_fleet_plan(), tasks, {"slam": LAST}).wide(look)
-    section = text[text.index("What moves take along") :]
+    section = text[text.index("State that moves transfer") :]
     joined = " ".join(section.split())
     assert "nav edge1 edge2 nothing: its file states no state -" in joined
     assert "2.5s old" in joined
@@ -123,5 +123,5 @@ def test_a_wide_plan_lists_what_moves_take_along() -> None:
     assert rows[:2] == ["slam", "nav"]
     assert max(map(len, section.splitlines())) <= 80
     # Without the files nothing is known of it; and the table of changes stays as it is.
-    assert "take along" not in PlanView(a_fleet_plan()).wide()
-    assert "take along" not in PlanView(a_fleet_plan(), tasks).table()
+    assert "State that moves transfer" not in PlanView(a_fleet_plan()).wide()
+    assert "State that moves transfer" not in PlanView(a_fleet_plan(), tasks).table()

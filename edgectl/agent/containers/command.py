@@ -53,7 +53,7 @@ class ContainerCommand(Command):
         del spec, env  # the runner has its own
         self.take_lock()
         self.resumed, self.waits = False, self._ran
-        self._detail, self._main = "", (0, -1)
+        self._detail, self._main, self.interrupted = "", (0, -1), False
         pid, pipe = self._fork(self.lock, lambda found: found.run(patient=self._ran))
         if not self.waits:
             self._await_start(pid, pipe)
@@ -173,6 +173,8 @@ class ContainerCommand(Command):
             if note["event"] == "started":
                 self._main, self._name = (int(note["pid"]), int(note["ticks"])), str(note["name"])
                 self.ticks, self.started = self._main[1], time.monotonic()
+            elif note["event"] == "interrupted":
+                self.interrupted = True
             elif note["event"] == "ended":
                 self._detail = str(note["detail"])
             elif note["event"] == "failed":

@@ -2,6 +2,7 @@
 """Calls of a container engine: its program with an argument vector, bounded in time, without a shell."""
 
 import os
+import time
 
 from ..link import fast_json
 from ..link.errors import RefusalError
@@ -30,6 +31,8 @@ _GONE_WORDS = (
     *("no such container", "no such object", "no such service"),
     *("is not running", "already in progress"),
 )
+# HUP, USR1, USR2, CONT, STOP, TSTP, WINCH: what programs are told other things by.
+_OTHER_SIGNALS = frozenset(("1", "10", "12", "18", "19", "20", "28"))
 _FOLDERS = ("/usr/bin", "/usr/local/bin", "/bin", "/snap/bin")
 
 
@@ -155,3 +158,15 @@ def inspect_state(program: str, container_id: str) -> "tuple[EngineCall, Documen
         return call, dict(fast_json.loads(call.out.strip()))
     except ValueError:
         return EngineCall(FAILED, "", "the state of the container cannot be read"), {}
+
+
+def was_told_to_end(program: str, container_id: str) -> bool:
+    """Whether docker has told the container to end, for itself or for somebody, as far as it remembers: 256
+    events at most, since it was started. podman has no engine that ends anything.
+    """
+    if os.path.basename(program) != "docker":
+        return False
+    argv = [program, "events", "--since", "1", "--until", "%.9f" % time.time()]
+    argv += ["--filter", "container=" + container_id, "--filter", "event=kill"]
+    call = call_engine([*argv, "--format", "{{.Actor.Attributes.signal}}"])
+    return bool(set(call.out.split()) - _OTHER_SIGNALS)

@@ -57,6 +57,8 @@ class ContainerRunner:
         self._parent = os.getppid()
         self._found: Document = {}
         self._client: "Popen[bytes] | None" = None
+        # Ended as its engine was shut down.
+        self._went_along = False
 
     def run(self, *, patient: bool) -> int:
         """Create the container, start it and follow it; its exit code.
@@ -244,18 +246,30 @@ class ContainerRunner:
                 self._client.wait()
             call, state = engine.inspect_state(self._program, self._id)
             if call.kind == engine.GONE:
-                return self._end(_REMOVED_EXIT, "its container was removed by somebody else")
+                return self._end(_REMOVED_EXIT, "another program removed its container")
             if call.kind != engine.DONE:
-                self._note_loss(alive=bool(self._list_inside()))
+                alive = bool(self._list_inside())
+                # An engine that is told to end takes no more calls first, and ends its containers then.
+                self._went_along |= call.refused and not alive and not self._found.get("lost")
+                self._note_loss(alive=alive)
                 self._client = None
                 self._pause()
                 continue
             self._note_return()
             if not state.get("Running") and not self._list_inside():
-                return self._end(int(state.get("ExitCode") or 0), _describe_end(state))
+                return self._end_after(state)
             self._open_client(["attach", "--no-stdin", "--sig-proxy=false", self._id])
             # A container that ends just now refuses it at once.
             time.sleep(_POLL_S)
+
+    def _end_after(self, state: Document) -> int:
+        """End with the exit code of a container that has ended. Where that is 0, the supervisor hears
+        whether it was told to end, and has not done its work.
+        """
+        code = int(state.get("ExitCode") or 0)
+        if code == 0 and (self._went_along or engine.was_told_to_end(self._program, self._id)):
+            self._note(event="interrupted")
+        return self._end(code, "killed: out of memory" if state.get("OOMKilled") else "")
 
     def _end(self, code: int, detail: str) -> int:
         """Remove the container; what cannot be removed now is removed before the next start, by a stop, or
@@ -277,15 +291,11 @@ def has_run(state: Document) -> bool:
     )
 
 
-def _describe_end(state: Document) -> str:
-    return "killed: out of memory" if state.get("OOMKilled") else ""
-
-
 def _build_hint(why: str) -> str:
     """What helps against an error of the engine."""
     words = why.lower()
     if "permission denied" in words:
-        return "add the user to the group docker there, and log in anew"
+        return "add the user to the group docker there, and log in again"
     if "no such image" in words or "not known" in words:
         return "apply pulls it: edgectl restart the task, or write pull: missing"
     return "check image, devices, volumes and args of the task"

@@ -13,7 +13,7 @@ import time
 
 from ..link import fast_json, heartbeat
 from ..link.fast_json import Document
-from ..measure import device, network, proc
+from ..measure import device, interfaces, network, proc
 from ..measure.udp import UdpMeter
 from ..supervise import state_dir
 from . import pidfile, sample_ring
@@ -85,7 +85,7 @@ class ProfilerDaemon:
         self.traffic = network.TrafficMeter(dict(self.addresses, **self.peers))
         self.udp = UdpMeter()
         self.counted: "CounterMeter | None" = None
-        self.wireless = network.start_radio_meter()
+        self.wireless = interfaces.start_radio_meter()
         self.hardware = device.start_hardware_meter()
         self.rates: "Document | None" = None
         self.number = 0
@@ -96,7 +96,7 @@ class ProfilerDaemon:
             0.0,
         )
         self._refresh_slow_values(self.addresses, self.peers)
-        self.totals, self.since = network.read_interface_bytes(), time.monotonic()
+        self.totals, self.since = interfaces.read_interface_bytes(), time.monotonic()
 
     def run(self) -> str:
         """Run until the end; returns its reason."""
@@ -135,7 +135,7 @@ class ProfilerDaemon:
         now = time.monotonic()
         seconds, self.since = max(1e-3, now - self.since), now
         cpu, flows = self.cpu.measure(), self.traffic.flows()
-        before, self.totals = self.totals, network.read_interface_bytes()
+        before, self.totals = self.totals, interfaces.read_interface_bytes()
         probes.close(self.addresses)
         udp = self.udp.find_sockets()
         counted = (
@@ -147,7 +147,7 @@ class ProfilerDaemon:
         )
         raw = {
             "cpu": cpu["used_cores"] - sum(each["used_cores"] for each in tasks.values()),
-            "interfaces": network.compute_rates(before, self.totals, seconds),
+            "interfaces": interfaces.compute_rates(before, self.totals, seconds),
             "links": {robot: _subtract_tasks(robot, link, tasks) for robot, link in links.items()},
             "tasks": tasks,
         }
@@ -189,7 +189,9 @@ class ProfilerDaemon:
             self.traffic = network.TrafficMeter(dict(addresses, **peers))
         self.slow: Document = {
             "routes": network.find_interfaces(addresses),
-            "speeds": {name: network.read_interface_speed(name) for name in network.read_interface_bytes()},
+            "speeds": {
+                name: interfaces.read_interface_speed(name) for name in interfaces.read_interface_bytes()
+            },
             "wireless": {} if self.wireless is None else self.wireless.measure(),
             "temperature_c": device.read_temperature_c(),
             "hardware": device.measure_hardware(self.hardware),

@@ -6,7 +6,7 @@ No sample window passes.
 
 from ..link import protocol
 from ..link.fast_json import Document
-from ..measure import device, network, proc, task
+from ..measure import device, interfaces, network, proc, task
 from ..measure.udp import find_sockets
 from ..supervise import state_dir, status
 from . import pidfile, process_tracker
@@ -49,7 +49,7 @@ def _build_measurements(request: Document, sample: Document, age: float) -> Docu
         "temperature_c": levels["temperature_c"],
         **levels["hardware"],
         "interfaces": {
-            name: network.build_interface_entry(
+            name: interfaces.build_interface_entry(
                 rate, levels["speeds"].get(name), levels["wireless"].get(name)
             )
             for name, rate in rates["interfaces"].items()

@@ -79,7 +79,12 @@ def make_private_dir(path: str) -> None:
 
     OSError where it is a link, has another owner, or others may write.
     """
-    os.makedirs(path, 0o700, exist_ok=True)
+    try:
+        os.mkdir(path, 0o700)
+    except FileExistsError:
+        pass
+    except FileNotFoundError:
+        os.makedirs(path, 0o700, exist_ok=True)
     check_private_dir(path)
 
 

@@ -7,7 +7,6 @@ need it. It is as short as it can be: to compile it takes half a millisecond of 
 
 import gc
 import marshal
-import os
 import sys
 
 TYPE_CHECKING = False
@@ -15,6 +14,37 @@ if TYPE_CHECKING:
     from typing import Any, Union
 
 SEAL_BYTES = 32
+
+
+def take_part_of_os() -> None:
+    """Let module os be the part of it that is written in C, and the rest on demand: that takes 0.7 ms."""
+    import posix
+
+    coding, part = sys.getfilesystemencoding(), type(sys)("os")
+    part.__dict__.update(posix.__dict__, __name__="os", name="posix", pathsep=":", devnull="/dev/null")
+    part.__dict__.update(defpath="/bin:/usr/bin", __getattr__=load_rest_of_os)
+    pairs = [[each.decode(coding, "surrogateescape") for each in pair] for pair in posix.environ.items()]
+    sys.modules["os"] = part
+    import posixpath
+
+    sys.modules["os.path"] = posixpath
+    part.__dict__.update(path=posixpath, environ=dict(pairs))
+
+
+def load_rest_of_os(name: str) -> object:
+    """Load all of module os; whoever has its part has it, too."""
+    part = sys.modules.pop("os").__dict__
+    import os
+
+    part.pop("__getattr__", None)
+    part.update(os.__dict__)
+    return getattr(os, name)
+
+
+# Python 3.6 asks no module for what it lacks.
+if __name__ == "__main__" and sys.version_info >= (3, 7) and "os" not in sys.modules:
+    take_part_of_os()
+import os  # noqa: E402
 
 
 def compute_seal(key: bytes, name: bytes, code: "Union[bytes, memoryview]") -> bytes:

@@ -12,7 +12,7 @@ from ..link import boot, protocol
 from ..link.fast_json import Document
 from ..ros import facts, local
 from ..supervise import logind, scope, shell, state_dir
-from . import device, network, proc
+from . import device, interfaces, network, proc
 
 ROS_VARIABLES = ("ROS_MASTER_URI", "ROS_DOMAIN_ID", "RMW_IMPLEMENTATION")
 _CONNECT_S = 1.0
@@ -106,7 +106,7 @@ def _build_link_facts(found: "list[str]", robot: str, probes: network.ConnectPro
         "reachable": probes.reachable.get(robot),
         "rtt_ms": probes.rtt_ms.get(robot),
         "interface": interface,
-        "speed_bytes_per_s": network.read_interface_speed(interface) if interface else None,
+        "speed_bytes_per_s": interfaces.read_interface_speed(interface) if interface else None,
     }
 
 

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Network profiler: bytes/s between this host and each robot, round-trip time, reachability, and totals per
-interface.
+"""Network profiler: bytes/s between this host and each robot, round-trip time and reachability.
 
 A connection belongs to a robot when its *remote* address is the robot's: on a machine that hosts a whole test
 fleet with loopback addresses, both ends of a connection are visible. The kernel counts bytes per TCP
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
     from typing import Dict, List
 
     from .counters import CounterMeter, Rates
-    from .wireless import RadioMeter
 
     # Robot -> its addresses.
     Addresses = Dict[str, List[str]]
@@ -117,15 +115,6 @@ def start_counter_meter(fleet: str, addresses: "Addresses") -> "CounterMeter | N
     from .counters import CounterMeter
 
     return CounterMeter(fleet)
-
-
-def start_radio_meter() -> "RadioMeter | None":
-    """Start the meter of the radios; None where this host has none."""
-    if not radio.list_radios():
-        return None
-    from .wireless import RadioMeter
-
-    return RadioMeter()
 
 
 def _pack_addresses(addresses: "Addresses") -> "set[bytes]":
@@ -368,42 +357,3 @@ def _find_route_v6(address: str) -> "str | None":
         if (target ^ int(row[0], 16)) >> (128 - length) == 0 and length > best[0] and row[9] != "lo":
             best = (length, row[9])
     return best[1]
-
-
-def read_interface_bytes() -> "dict[str, tuple[int, int]]":
-    """Read interface -> (bytes in, bytes out) since boot."""
-    found: "dict[str, tuple[int, int]]" = {}
-    for line in proc.read_file("/proc/net/dev").decode("ascii", "replace").splitlines()[2:]:
-        name, _, rest = line.partition(":")
-        columns = rest.split()
-        found[name.strip()] = (int(columns[0]), int(columns[8]))
-    return found
-
-
-def compute_rates(
-    before: "dict[str, tuple[int, int]]", after: "dict[str, tuple[int, int]]", seconds: float
-) -> "dict[str, dict[str, float]]":
-    """Compute interface -> bytes/s in (``rx``) and out (``tx``)."""
-    found = {}
-    for name, now in sorted(after.items()):
-        then = before.get(name, now)
-        found[name] = {"rx": max(0, now[0] - then[0]) / seconds, "tx": max(0, now[1] - then[1]) / seconds}
-    return found
-
-
-def build_interface_entry(
-    rate: "dict[str, float]", speed_bytes_per_s: "int | None", wireless: "Document | None"
-) -> Document:
-    """Build the entry of one interface in a reply; ``wireless``: what a ``RadioMeter`` found of it."""
-    entry = {
-        "rx_bytes_per_s": round(rate["rx"], 1),
-        "tx_bytes_per_s": round(rate["tx"], 1),
-        "speed_bytes_per_s": speed_bytes_per_s,
-    }
-    return dict(entry, **wireless) if wireless else entry
-
-
-def read_interface_speed(name: str) -> "int | None":
-    """Read bytes/s; None where the driver does not know (Wi-Fi, lo): /sys has Mbit/s, -1 or nothing."""
-    text = proc.read_file(os.path.join("/sys/class/net", name, "speed")).decode("ascii", "replace").strip()
-    return int(text) * 125000 if text.isdigit() and int(text) > 0 else None

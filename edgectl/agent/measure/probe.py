@@ -4,20 +4,20 @@
 import os
 import sys
 import time
-import zlib
 
 from ..link import protocol
 from ..link.fast_json import Document
 from ..supervise import adoption, grants, lockfile, other_tasks, state_dir, status
-from . import device, metrics, network, proc
+from . import device, interfaces, metrics, proc
 from .task import TaskMeter
-from .udp import UdpMeter
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Mapping
 
     from ..supervise.spec_check import RunningCheck
+    from .link_meter import LinkMeter
+    from .network import ConnectProbes
 
 _MAX_WINDOW_S = 30.0
 _MIN_CONNECT_S = 0.02
@@ -99,8 +99,18 @@ def _list_engines(request: Document) -> Document:
 
 def _describe_place() -> str:
     """Describe where the tasks of this login are: machine, user and state directories."""
-    folders = zlib.crc32("\0".join(state_dir.BASES).encode("utf-8", "surrogateescape"))
+    folders = _compute_crc32("\0".join(state_dir.BASES).encode("utf-8", "surrogateescape"))
     return "%s/%d/%08x" % (proc.read_machine_id(), os.getuid(), folders)
+
+
+def _compute_crc32(data: bytes) -> int:
+    """Compute zlib.crc32, which many builds of Python have in a library that takes 0.4 ms to load."""
+    crc = 0xFFFFFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0xEDB88320 if crc & 1 else 0)
+    return crc ^ 0xFFFFFFFF
 
 
 def _claim_lease(request: Document) -> Document:
@@ -165,8 +175,9 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
 class WindowMeter:
     """Meter of this host: of a window, and with each further call since the one before."""
 
-    def __init__(self, request: Document) -> None:
-        self._request = request
+    def __init__(self, request: Document, links: "LinkMeter | None" = None) -> None:
+        """``links``: not begun yet; without it there is one where the request has links, or a task lives."""
+        self._request, self._links = request, links
         self._window = min(_MAX_WINDOW_S, max(0.05, float(request.get("window_s", 0.5))))
         self._began = 0.0
 
@@ -177,38 +188,44 @@ class WindowMeter:
             self._begin()
             due = self._began + self._window
         checks = _RunningChecks(self._tasks.host, self._request.get("checks", []), self._tasks.before)
-        probes = network.ConnectProbes(self._addresses)
+        if self._links is None:
+            time.sleep(max(0.0, due - time.monotonic()))
+            return self._read(None), checks
+        probes = self._links.start_probes()
         probes.wait(max(due, time.monotonic() + _MIN_CONNECT_S))
         return self._read(probes), checks
 
     def close(self) -> None:
         """Listen no longer for connections that are closed."""
-        if self._began:
-            self._traffic.close()
+        if self._began and self._links is not None:
+            self._links.close()
 
     def _begin(self) -> None:
         request = self._request
-        self._addresses = network.resolve_robots(request.get("links", []))
-        self._peers = network.resolve_robots(request.get("peers", []))
+        if request.get("links") or request.get("peers"):
+            # Before the tasks: names may take seconds.
+            self._links = self._links or _make_link_meter(request)
         self._tasks = TaskMeter(request["host"], request.get("detect", []))
-        self._counted = network.start_counter_meter(state_dir.get_fleet(), self._addresses)
-        self._traffic = network.TrafficMeter(dict(self._addresses, **self._peers))
-        self._totals = network.read_interface_bytes()
-        self._radios = network.start_radio_meter()
+        if self._tasks.may_live:
+            self._links = self._links or _make_link_meter(request)
+        if self._links is not None:
+            self._links.begin()
+        self._totals = interfaces.read_interface_bytes()
+        self._radios = interfaces.start_radio_meter()
         self._hardware = device.start_hardware_meter()
-        self._udp, self._cpu, self._began = UdpMeter(), device.CpuMeter(), time.monotonic()
+        self._cpu, self._began = device.CpuMeter(), time.monotonic()
 
-    def _read(self, probes: network.ConnectProbes) -> Document:
-        addresses, cpu = self._addresses, self._cpu.measure()
+    def _read(self, probes: "ConnectProbes | None") -> Document:
+        cpu = self._cpu.measure()
         since, self._began = self._began, time.monotonic()
         seconds, then = self._began - since, self._totals
-        flows, self._totals = self._traffic.flows(), network.read_interface_bytes()
-        rates = network.compute_rates(then, self._totals, seconds)
-        interfaces = network.find_interfaces(addresses)
-        datagrams = self._udp.find_sockets()
-        counted = None if self._counted is None else self._counted.measure(addresses, interfaces)
-        measured = self._tasks.measure(flows, datagrams, addresses, seconds, counted)
-        probes.close(addresses)
+        self._totals = interfaces.read_interface_bytes()
+        rates = interfaces.compute_rates(then, self._totals, seconds)
+        if self._links is None or probes is None:
+            tasks = self._tasks.measure([], {}, {}, seconds)
+            measured: Document = {"links": {}, "counters": "", "peers": {}, "tasks": tasks}
+        else:
+            measured = self._links.measure(probes, self._tasks, seconds)
         wireless = {} if self._radios is None else self._radios.measure()
         return {
             "psutil": device.find_psutil_folder() is not None,
@@ -218,18 +235,19 @@ class WindowMeter:
             "temperature_c": device.read_temperature_c(),
             **device.measure_hardware(self._hardware),
             "interfaces": {
-                name: network.build_interface_entry(
-                    rate, network.read_interface_speed(name), wireless.get(name)
+                name: interfaces.build_interface_entry(
+                    rate, interfaces.read_interface_speed(name), wireless.get(name)
                 )
                 for name, rate in rates.items()
             },
-            "links": network.build_links(
-                addresses, flows, probes, self._traffic.seconds, interfaces, datagrams, counted
-            ),
-            "counters": "" if counted is None else counted.state,
-            "peers": network.build_peers(self._peers, flows, self._traffic.seconds),
-            "tasks": measured,
+            **measured,
         }
+
+
+def _make_link_meter(request: Document) -> "LinkMeter":
+    from .link_meter import LinkMeter
+
+    return LinkMeter(request)
 
 
 def _list_generations(hosts: "list[str]", measured: "dict[str, Document]") -> "dict[str, int]":

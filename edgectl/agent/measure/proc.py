@@ -150,6 +150,20 @@ def read_cmdline(pid: int) -> "list[str]":
     ]
 
 
+def list_socket_inodes(pid: int) -> "set[int]":
+    """List the inodes of the sockets that a process holds."""
+    folder = "/proc/%d/fd/" % pid
+    found = set()
+    try:
+        for name in os.listdir(folder):
+            target = os.readlink(folder + name)
+            if target.startswith("socket:["):
+                found.add(int(target[8:-1]))
+    except OSError:
+        pass
+    return found
+
+
 def read_boot_id() -> str:
     """Read the id of this boot of the host."""
     return read_file("/proc/sys/kernel/random/boot_id").decode().strip()

@@ -7,7 +7,6 @@ It is a nominal rate, above what TCP gets, and a live one: drivers lower it with
 import os
 
 from . import proc
-from .sockets import socket, struct
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -51,6 +50,9 @@ def _read_rate(name: str) -> float:
 def _ask_driver(name: str) -> float:
     """Ask by ioctl, which starts no process; 0 where the kernel has no wireless extensions."""
     import fcntl
+
+    # Few hosts get here, and each library that a probe loads costs it 0.2 ms.
+    from .sockets import socket, struct
 
     probe = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:

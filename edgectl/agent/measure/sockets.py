@@ -3,8 +3,6 @@
 installed.
 """
 
-import os
-
 try:
     # Module socket imports enum and selectors, several ms of CPU; to find struct.py takes 0.1 ms.
     import _socket as socket
@@ -22,7 +20,6 @@ __all__ = [
     "CloseListener",
     "TcpConnection",
     "list_connections",
-    "list_socket_inodes",
     "pack_address",
     "read_rtt_ms",
     "socket",
@@ -188,17 +185,3 @@ def read_rtt_ms(connection: "socket.socket") -> float:
     except OSError:
         return 0.0
     return struct.unpack_from("=I", info, _RTT_AT)[0] / 1000.0 if len(info) >= _RTT_AT + 4 else 0.0
-
-
-def list_socket_inodes(pid: int) -> "set[int]":
-    """List the inodes of the sockets that a process holds."""
-    folder = "/proc/%d/fd/" % pid
-    found = set()
-    try:
-        for name in os.listdir(folder):
-            target = os.readlink(folder + name)
-            if target.startswith("socket:["):
-                found.add(int(target[8:-1]))
-    except OSError:
-        pass
-    return found

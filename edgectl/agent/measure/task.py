@@ -6,7 +6,7 @@ tasks.
 from ..link import protocol
 from ..link.fast_json import Document
 from ..supervise import liveness, lockfile, state_dir, status
-from . import cgroup, detection, proc, sockets
+from . import cgroup, detection, proc
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -100,11 +100,14 @@ class TaskMeter:
 
     def __init__(self, host: str, detect: "list[Document]") -> None:
         self.host, self.detect = host, detect
+        # Whether a task may run here now; where none does, nothing has to be known of connections.
+        self.may_live = False
         self.names = state_dir.list_task_names(host)
         self.before = {name: collect_cpu_s(group, table) for table, name, group in self._find_groups()}
 
     def _find_groups(self) -> "list[tuple[dict[int, proc.Process], str, TaskProcesses]]":
-        table = proc.read_process_table() if self.detect or _may_any_live(self.host, self.names) else {}
+        self.may_live = bool(self.detect) or _may_any_live(self.host, self.names)
+        table = proc.read_process_table() if self.may_live else {}
         return [
             (table, name, group)
             for name, group in sorted(find_tasks(self.host, self.names, self.detect, table).items())
@@ -189,7 +192,7 @@ def _read_pss(pid: int, rss: int) -> int:
 
 def list_sockets(pids: "set[int]") -> "set[int]":
     """List the inodes of the sockets that the processes hold."""
-    return {inode for pid in pids for inode in sockets.list_socket_inodes(pid)}
+    return {inode for pid in pids for inode in proc.list_socket_inodes(pid)}
 
 
 def describe_gap(

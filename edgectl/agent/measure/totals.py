@@ -3,7 +3,7 @@
 
 from ..link.fast_json import Document
 from ..supervise import state_dir, status
-from . import device, network, proc, task
+from . import device, interfaces, proc, task
 
 _LOOPBACK = "lo"
 
@@ -12,11 +12,11 @@ def read_totals(host: str) -> Document:
     """Read the CPU seconds of this host (of its control group where that is limited) and the bytes over its
     interfaces, both since boot, and the CPU seconds of each instance of a task (``tasks``), alive or not.
     """
-    interfaces = network.read_interface_bytes()
+    counters = interfaces.read_interface_bytes()
     return {
         "cpu_s": round(device.CpuMeter().start[1], 4),
         "network_bytes": sum(
-            received + sent for name, (received, sent) in interfaces.items() if name != _LOOPBACK
+            received + sent for name, (received, sent) in counters.items() if name != _LOOPBACK
         ),
         "tasks": _read_task_cpu_s(host),
     }

@@ -96,7 +96,7 @@ def _check_owner(node: str, uri: str, pid: int, mark: str) -> None:
 
 def is_listening(pid: int, port: int) -> bool:
     """Whether process ``pid`` is seen to listen on the TCP port."""
-    inodes = sockets.list_socket_inodes(pid)
+    inodes = proc.list_socket_inodes(pid)
     wanted = "%04X" % port
     for table in ("/proc/net/tcp", "/proc/net/tcp6"):
         for line in proc.read_file(table).decode("ascii", "replace").splitlines()[1:]:

@@ -7,7 +7,7 @@ one that comes late never takes away what a newer node of that name has register
 
 import time
 
-from ..measure import proc, sockets
+from ..measure import proc
 from . import local, xmlrpc
 from .xmlrpc import CallError, NobodyListensError
 
@@ -70,7 +70,7 @@ def _list_keys(lists: "Iterable[tuple[str, list[str]]]", node: str) -> "Iterator
 
 def list_listening_ports(pids: "Iterable[int]") -> "set[int]":
     """List the TCP ports on which the processes listen, in the network of this process."""
-    inodes = {inode for pid in pids for inode in sockets.list_socket_inodes(pid)}
+    inodes = {inode for pid in pids for inode in proc.list_socket_inodes(pid)}
     found = set()
     for table in ("/proc/net/tcp", "/proc/net/tcp6"):
         for line in proc.read_file(table).decode("ascii", "replace").splitlines()[1:]:

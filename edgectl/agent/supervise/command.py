@@ -31,6 +31,8 @@ class Command:
         self.adopted = False
         # Of a container: the pipe of its runner, whether its start goes on, whether an orphan's is followed.
         self.notes, self.waits, self.resumed = -1, False, False
+        # Of a container: its engine has ended it.
+        self.interrupted = False
 
     def get_main(self) -> "tuple[int, int]":
         """Get (pid, start ticks) of the task itself."""

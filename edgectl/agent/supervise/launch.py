@@ -26,6 +26,8 @@ _BLOCK = 65536
 _REPORT_S = 10.0
 # A systemd that hangs does so for 25 s and more.
 _SCOPE_S, _KILL_S = 10.0, 2.0
+# What systemd-run says of a scope that it has started.
+_RUNNING = "Running "
 # As the manager's own command line: the program comes on standard input, which ps does not show.
 _PROGRAM = "import sys;s=sys.stdin.buffer;exec(s.read(int(s.readline())))"
 
@@ -145,31 +147,43 @@ def _launch_in_scope(task_scope: Scope, order: Document) -> "tuple[Document | No
     request = dict(order, op=protocol.OP_SUPERVISE, fleet=identity["fleet"], host=identity["host"], why="")
     read_end = _start_agent(task_scope.argv, task_scope.env, request, order["lock"])
     data, ended = _read_pipe(read_end, _SCOPE_S)
-    if not ended:
-        data, ended = (
-            data + b" no answer within %d s" % _SCOPE_S,
-            _end_systemd_run(data, read_end, order["folder"]),
-        )
+    report, in_time = _parse_report(data), ended
+    if report is None and not ended:
+        more, ended = _end_systemd_run(data, read_end)
+        data += more
     os.close(read_end)
+    if report is not None:
+        return report, ""
     if not ended:
         raise RefusalError(
             "start-failed", "systemd-run did not start the task and cannot be killed", "use runtime: process"
         )
-    return _parse_report(data), " ".join(data.partition(b"\n")[2].decode("utf-8", "replace").split())[
-        :300
-    ] or "no output"
+    if lockfile.find_lock_holders(order["folder"], proc.read_process_table()):
+        raise RefusalError(
+            "start-failed",
+            "the supervisor ended as it started the task, and left processes",
+            "edgectl stop ends them",
+        )
+    return None, describe_silence(data, in_time=in_time)
 
 
-def _end_systemd_run(data: bytes, read_end: int, folder: str) -> bool:
-    """Kill a systemd-run that hangs.
-
-    True with proof that nothing of the task runs or will run: pipe closed, lock held by us alone.
-    """
+def _end_systemd_run(data: bytes, read_end: int) -> "tuple[bytes, bool]":
+    """Kill a systemd-run that hangs: what it says still, and whether all that could report is gone."""
     pid, ticks = [int(word) for word in data.split(b"\n")[0].split()] if b"\n" in data else (0, 0)
     signals.send_signal(pid, ticks, signals.parse_signal("KILL"))
-    return _read_pipe(read_end, _KILL_S)[1] and not lockfile.find_lock_holders(
-        folder, proc.read_process_table()
-    )
+    return _read_pipe(read_end, _KILL_S)
+
+
+def describe_silence(data: bytes, *, in_time: bool) -> str:
+    """Describe the end of a systemd-run that no report followed. ``data``: its identity, and what it said;
+    ``in_time``: it ended by itself.
+    """
+    lines = data.decode("utf-8", "replace").splitlines()[1:]
+    said = " ".join(" ".join(line for line in lines if not line.startswith(_RUNNING)).split())[:300]
+    if not in_time:
+        return (said + "; " if said else "") + "no answer within %d s" % _SCOPE_S
+    begun = any(line.startswith(_RUNNING) for line in lines)
+    return said or ("the supervisor ended in its scope" if begun else "it ended without a word")
 
 
 def _exec_agent(argv: "list[str]", env: "dict[str, str]", source: int, report: int, lock: int) -> None:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lock of a task or profiler: taken by its supervisor, inherited by its processes."""
 
-import fcntl
 import os
 import time
 
@@ -17,6 +16,8 @@ GUARD = "takeover"
 
 def take_lock(folder: str, name: str = "lock") -> int:
     """Take the lock; its descriptor, or -1 where the holder lives."""
+    import fcntl
+
     fd = records.open_private_file(os.path.join(folder, name), os.O_RDWR | os.O_CREAT)
     for _ in range(_TRIES):
         try:
@@ -38,6 +39,9 @@ def is_lock_held(folder: str, name: str = "lock") -> bool:
         fd = records.open_private_file(os.path.join(folder, name), os.O_RDONLY)
     except FileNotFoundError:
         return False
+    # A library that a request about no task does without.
+    import fcntl
+
     try:
         fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except OSError:

@@ -14,13 +14,17 @@ if TYPE_CHECKING:
 # multiple of the time that the last one took, for one that sources the files of ROS needs a core.
 _SHARE, _COST = 0.1, 4.0
 _MIN_PAUSE_S, _MAX_PAUSE_S, _MAX_TRY_S = 0.1, 5.0, 10.0
+# Half of that, as far as the check takes an eighth of the time at most.
+_CHEAP_SHARE, _CHEAP_COST, _MIN_CHEAP_PAUSE_S = 0.05, 8.0, 0.05
 # Nothing tells the end of the check's process; so often it is looked for.
 _POLL_S = 0.5
 
 
 def compute_pause_s(since_s: float, took_s: float) -> float:
     """Compute the seconds from one try to the next; ``since_s``: since the start, ``took_s``: of the last."""
-    return min(_MAX_PAUSE_S, max(_MIN_PAUSE_S, _SHARE * since_s, _COST * took_s))
+    usual_s = max(_MIN_PAUSE_S, _SHARE * since_s)
+    cheap_s = max(_MIN_CHEAP_PAUSE_S, _CHEAP_SHARE * since_s, _CHEAP_COST * took_s)
+    return min(_MAX_PAUSE_S, max(min(usual_s, cheap_s), _COST * took_s))
 
 
 class ReadyCheck:

@@ -7,7 +7,6 @@ readers take the valid slot with the highest sequence number.
 """
 
 import os
-import zlib
 
 from ..link import fast_json
 from ..link.fast_json import Document
@@ -57,6 +56,8 @@ def _select_newest(data: bytes) -> "tuple[int, Document]":
 
 def encode_slot(sequence: int, document: Document, most: int) -> bytes:
     """Encode the content of a slot. ValueError where it is longer than ``most`` bytes."""
+    import zlib
+
     body = fast_json.dumps(document).encode("ascii")
     data = b"%020d %08x %s" % (sequence, zlib.crc32(b"%020d" % sequence + body), body)
     if len(data) > most:
@@ -66,6 +67,9 @@ def encode_slot(sequence: int, document: Document, most: int) -> bytes:
 
 def decode_slot(data: bytes) -> "tuple[int, Document]":
     """Decode (sequence, document); (0, {}) where the slot is empty or damaged."""
+    # A library of its own in many builds of Python, and few hosts without tasks have records.
+    import zlib
+
     try:
         sequence, crc, body = data.rstrip(b" \0").split(b" ", 2)
         if int(crc, 16) == zlib.crc32(sequence + body):

@@ -29,18 +29,20 @@ def compute_delay(history: "list[float]", now: float, jitter: float) -> "float |
     return min(MAX_S, FIRST_S * 2.0 ** min(len(history), 16)) * (1.0 + JITTER * jitter)
 
 
-def decide_end(spec: Document, outcome: Document, left: "list[int]", stopped: bool) -> "Document | None":
+def decide_end(
+    spec: Document, outcome: Document, left: "list[int]", stopped: bool, interrupted: bool = False
+) -> "Document | None":
     """Decide what the status says after the end of the main process; None: it is restarted.
 
     ``outcome``: of `spawn.describe_exit`; ``left``: the processes that could not be ended; ``stopped``: its
-    end was wanted.
+    end was wanted; ``interrupted``: another has ended it, so exit code 0 does not mean that it is done.
     """
     if stopped:
         return dict(outcome, state=protocol.STOPPED, left=left)
     if left:
         detail = "processes cannot be stopped: %s" % left
         return {"state": protocol.FAILED, "left": left, "exit_code": outcome["exit_code"], "detail": detail}
-    clean, policy = outcome["exit_code"] == 0, spec.get("restart", "on-failure")
+    clean, policy = outcome["exit_code"] == 0 and not interrupted, spec.get("restart", "on-failure")
     if clean and spec.get("kind") == "job":
         return dict(outcome, state=protocol.COMPLETED)
     if policy == "never" or (policy == "on-failure" and clean):

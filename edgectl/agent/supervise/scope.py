@@ -125,8 +125,8 @@ def _build_scope_argv(host: str, task: str, settings: "dict[str, str]") -> "list
     argv = [
         find_systemd_run(),
         "--user",
+        # Not --quiet: it would not say why the scope could not be started.
         "--scope",
-        "--quiet",
         "--collect",
         "--unit=edgectl-%s-%s-%s" % (host, task, os.urandom(4).hex()),
     ]

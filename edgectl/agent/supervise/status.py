@@ -13,6 +13,8 @@ from .liveness import InstanceRecord
 
 # From one look at what is waited for to the next: a share of the time since, within bounds.
 _POLL_SHARE, _MIN_POLL_S, _MAX_POLL_S = 0.05, 0.02, 0.1
+# Between them from one look to the next at whether the supervisor has written, which costs a tenth; as above.
+_GLANCE_SHARE, _MIN_GLANCE_S = 0.01, 0.01
 # A command that cannot start ends within this time; until then, running is no evidence.
 _SETTLE_S = 0.3
 
@@ -72,7 +74,10 @@ def wait_for_task(request: Document) -> Document:
     """
     began = time.monotonic()
     deadline = began + float(request["timeout_s"])
+    folder = ""
     while True:
+        # Before the look: what is written meanwhile ends the pause after it.
+        written = read_written_ns(folder)
         record, alive = find_current(request["host"], request["task"])
         document = liveness.build_entry(record, alive) if record is not None else {}
         if not document or document["instance"] != request["instance"]:
@@ -80,7 +85,31 @@ def wait_for_task(request: Document) -> Document:
         settled = record is not None and _is_settled(record, document, float(request.get("up_s") or 0.0))
         if not alive or settled or time.monotonic() >= deadline:
             return dict(document, settled=settled)
-        time.sleep(min(_MAX_POLL_S, max(_MIN_POLL_S, _POLL_SHARE * (time.monotonic() - began))))
+        since, folder = time.monotonic() - began, record.folder if record is not None else ""
+        pause_until_written(
+            folder,
+            written,
+            min(_MAX_POLL_S, max(_MIN_POLL_S, _POLL_SHARE * since)),
+            max(_MIN_GLANCE_S, _GLANCE_SHARE * since),
+        )
+
+
+def read_written_ns(folder: str) -> int:
+    """Read when the status of a task was written last (ns of the file's clock); 0 where it has none."""
+    try:
+        return os.stat(folder + "/status").st_mtime_ns
+    except OSError:
+        return 0
+
+
+def pause_until_written(folder: str, written: int, pause_s: float, glance_s: float) -> None:
+    """Wait until the status is written, which it was last at ``written``; at most ``pause_s``."""
+    until = time.monotonic() + pause_s
+    while read_written_ns(folder) == written:
+        left = until - time.monotonic()
+        if left <= 0.0:
+            return
+        time.sleep(min(left, glance_s))
 
 
 def _is_settled(record: InstanceRecord, document: Document, up_s: float) -> bool:

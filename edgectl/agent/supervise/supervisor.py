@@ -297,7 +297,10 @@ class Supervisor:
         outcome = self.command.describe_end(code)
         self.status["last_exit"] = outcome["exit_code"]
         stopped = self.stopping or (not left and self._is_leaving())
-        final = restart_policy.decide_end(self.spec, outcome, left, stopped)
+        interrupted = self.command.interrupted and not stopped
+        if interrupted:
+            outcome["detail"] = "asked to end by its engine, or by someone through it"
+        final = restart_policy.decide_end(self.spec, outcome, left, stopped, interrupted)
         if final is None:
             self._schedule_restart(ran_s, outcome)
         else:

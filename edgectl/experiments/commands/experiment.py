@@ -98,10 +98,11 @@ def experiment_run_command(
 
 def _print_missing_trials(fleet: "Fleet", experiment: "Experiment", directory: Path) -> None:
     from edgectl.experiments.runner import list_missing_trials
+    from edgectl.views.marks import DRY_RUN_SUFFIX
 
     missing = list_missing_trials(fleet, experiment, directory)
     for scheme, repetition in missing:
-        console.print_text(f"trial/{scheme.name}/{repetition} run{options.DRY_RUN_SUFFIX}\n")
+        console.print_text(f"trial/{scheme.name}/{repetition} run{DRY_RUN_SUFFIX}\n")
     if not missing:
         console.print_message(f"no trial is missing in {directory}")
 

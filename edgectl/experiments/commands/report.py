@@ -41,8 +41,8 @@ def report_command(
 
     The page opens with the answer in one sentence, with its interval; table, comparisons and figures follow.
 
-    The page is self-contained: no network, no script. An unfinished run is reported as far as it has come.
-    Requires the extra report.
+    The page is self-contained: no network, no script. An unfinished run is reported with the trials done so
+    far. Requires the extra report.
 
     Examples:
         edgectl report docs/examples/run --out report.html

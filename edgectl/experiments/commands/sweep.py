@@ -64,8 +64,8 @@ def simulate_sweep_command(
 ) -> None:
     """Simulate a mission under several schemes in all worlds of a sweep file, on all cores.
 
-    Every result is a file named by the digest of its world: what is there is not computed again, and an
-    interrupted sweep resumes when the command is repeated. Requires the extra evidence.
+    Results are files named by the digest of their world. Existing ones are not computed again: to resume an
+    interrupted sweep, repeat the command. Requires the extra evidence.
 
     Examples:
         edgectl simulate sweep docs/scenarios/sweep-robots.yaml
@@ -117,7 +117,7 @@ def simulate_merge_command(
     ] = None,
     output: options.WideOutput = OutputFormat.TABLE,
 ) -> None:
-    """Merge the results of the shards of a sweep; the same bytes, however many machines made them.
+    """Merge the results of the shards of a sweep. The bytes do not depend on the number of shards.
 
     Examples:
         edgectl simulate merge docs/scenarios/sweep-robots.yaml part-1 part-2
@@ -157,7 +157,9 @@ def _simulate(
         yield from simulate_on_cores(worlds, workers or count_cores(), print_warning)
         return
     if workers is not None:
-        raise UsageError(f"--workers is not for --on {engine}", hint="the cluster says how many it has")
+        raise UsageError(
+            f"--workers is not for --on {engine}", hint="drop it: the cluster uses all of its cores"
+        )
     with require_extra(engine.value):
         if engine is Engine.RAY:
             from edgectl.experiments.sweep_ray import simulate_on_ray as simulate
