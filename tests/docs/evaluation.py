@@ -26,6 +26,13 @@ from edgectl.experiments.scheme_results import compute_estimate, summarize_trial
 from edgectl.experiments.views.answer import describe_answer
 from tests.docs.blocks import environment
 from tests.experiments.cycle_times import PILOT, render_times
+from tests.experiments.deviations import (
+    RUNS,
+    render_local,
+    render_pictures,
+    render_recoveries,
+    render_starts,
+)
 from tests.experiments.lab.disturbances import (
     ASIDE,
     BUSY_CORES,
@@ -45,6 +52,9 @@ DRAWN = ("latency.svg", "cpu.svg", "gantt.svg", "metric-1.svg")
 HYPOTHESES = {"H1, primary": "static", "H2": "local", "H3": "least-loaded"}
 _PART = re.compile(r"(<!-- from the run: (\w+) -->\n).*?(<!-- end -->\n)", re.DOTALL)
 _MODEL = re.compile(r"(<!-- from the model -->\n).*?(<!-- end -->\n)", re.DOTALL)
+_RECOVERIES = re.compile(r"(<!-- from the model: recoveries -->\n).*?(<!-- end -->\n)", re.DOTALL)
+_PICTURES = re.compile(r"(<!-- from the model: pictures -->\n).*?(<!-- end -->\n)", re.DOTALL)
+_LOCAL = re.compile(r"(<!-- from the model: local -->\n).*?(<!-- end -->\n)", re.DOTALL)
 _LINKS = re.compile(r"(<!-- from the model: changing links -->\n).*?(<!-- end -->\n)", re.DOTALL)
 # The world of the sensitivity that is the scenario as it is shipped.
 SHIPPED = {"radio": "separate", "robot_cores": "1", "link_ratio": "10"}
@@ -62,6 +72,19 @@ def write_parts(text: str, directory: Path) -> str:
 def write_model(text: str) -> str:
     """The page with what the model of the patrol says now of where tasks stand."""
     return _MODEL.sub(lambda part: part[1] + render_model(SEEDS) + part[2], text)
+
+
+def write_deviations(text: str) -> str:
+    """The page with recoveries, pictures, and ``local``, measured and in the model."""
+    run = load_run(RUN)
+    text = _RECOVERIES.sub(lambda part: part[1] + render_recoveries(run, RUNS) + part[2], text)
+    text = _PICTURES.sub(lambda part: part[1] + render_pictures(run, RUNS) + part[2], text)
+    return write_local(text)
+
+
+def write_local(text: str) -> str:
+    """The page with ``local`` alone, which takes a few seconds less."""
+    return _LOCAL.sub(lambda part: part[1] + render_local(load_run(RUN)) + part[2], text)
 
 
 def write_changing_links(text: str) -> str:
@@ -219,6 +242,7 @@ PARTS: Mapping[str, Callable[[ExperimentRun], str]] = {
     "ages": render_ages,
     "periods": render_periods,
     "whereabouts": render_whereabouts,
+    "starts": render_starts,
     "times": lambda run: render_times([("pilot trials", load_run(PILOT)), ("this run", run)]),
 }
 
@@ -270,7 +294,7 @@ def write_page(page: Path, run: Path, figures: Path) -> None:
     """Draw the figures of the run, then write the parts and the outputs of the page."""
     with tempfile.TemporaryDirectory(prefix="edgectl-evaluation-") as directory:
         draw_figures(run, figures, Path(directory))
-        text = write_changing_links(write_model(write_parts(page.read_text(), run)))
+        text = write_changing_links(write_deviations(write_model(write_parts(page.read_text(), run))))
         page.write_text(write_exact_blocks(text, Path(directory) / "state"))
 
 

@@ -5,7 +5,7 @@ With the rows of the model without what lies between a reading and a move (ADR 1
 """
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -22,6 +22,7 @@ from edgectl.experiments.event_draws import build_uniform_draw, create_stream
 from edgectl.experiments.files.run_directory import load_run
 from edgectl.experiments.files.scenario_file import load_scenario, load_scenario_paths
 from edgectl.experiments.model.experiment import ExperimentRun, PlacementInterval, Trial
+from edgectl.experiments.model.scenario import Scenario, SimRun
 from edgectl.experiments.model.schemes import build_schemes
 from edgectl.experiments.simulator_state import SimState, get_link_bytes_per_s, integrate_loads
 from edgectl.model.policy import PolicyName
@@ -29,7 +30,7 @@ from edgectl.model.policy import PolicyName
 ROOT = Path(__file__).parents[2]
 RUN = ROOT / "docs" / "experiment"
 SCENARIO = ROOT / "docs" / "scenarios" / "patrol.yaml"
-POLICIES = (PolicyName.STATIC, PolicyName.LEAST_LOADED, PolicyName.UTILITY)
+POLICIES = (PolicyName.LOCAL, PolicyName.STATIC, PolicyName.LEAST_LOADED, PolicyName.UTILITY)
 TASK = "detection-"
 # bytes/s: what detection demands of a link. A far one carries half of it.
 DEMAND = 390e3
@@ -118,36 +119,50 @@ def list_areas(run: ExperimentRun, trial: Trial, robot: str) -> Iterator[tuple[f
 
 def simulate_whereabouts(scheme: str, seeds: int, timing: Mapping[str, Any] | None = None) -> Whereabouts:
     """Those of the model, over so many runs; what was taken to carry is not looked at. ``timing``: other values."""
+    clock = _Clock()
+    with observe(partial(_add_detections, clock)):
+        found = simulate_patrol(
+            scheme, range(seeds), lambda each: replace(each, timing=replace(each.timing, **(timing or {})))
+        )
+    return clock.read(fmean(run.latency for run in found))
+
+
+def simulate_patrol(
+    scheme: str, seeds: Iterable[int], change: Callable[[Scenario], Scenario] = lambda scenario: scenario
+) -> list[SimRun]:
+    """A run of the model for each seed; ``change``: what is another in it."""
     inventory_file, tasks_file = load_scenario_paths(SCENARIO)
     assert inventory_file is not None
     assert tasks_file is not None
     inventory, tasks, _ = load_inventory_and_tasks(inventory_file, tasks_file)
-    scenario = load_scenario(SCENARIO, inventory, tasks)
-    scenario = replace(scenario, timing=replace(scenario.timing, **(timing or {})))
+    scenario = change(load_scenario(SCENARIO, inventory, tasks))
     schemes = build_schemes(tasks.policy, POLICIES, {"all": parse_weights("all")}, [])
     policy = next(each.policy for each in schemes if each.name == scheme)
-    clock, latencies = _Clock(), list[float]()
-    for seed in range(seeds):
-        with _observe(clock):
-            found = simulator.simulate_mission(
-                inventory, tasks, scenario, replace(policy, seed=seed),
-                partial(create_stream(f"1/{seed}").gauss, 0.0, 1.0), build_uniform_draw(f"1/{seed}"),
-            )  # fmt: skip
-        latencies.append(found.latency)
-    return clock.read(fmean(latencies))
+    return [
+        simulator.simulate_mission(
+            inventory, tasks, scenario, replace(policy, seed=seed),
+            partial(create_stream(f"1/{seed}").gauss, 0.0, 1.0), build_uniform_draw(f"1/{seed}"),
+        )
+        for seed in seeds
+    ]  # fmt: skip
+
+
+def _add_detections(clock: _Clock, state: SimState, seconds: float) -> None:
+    for name, service in state.services.items():
+        if name.startswith(TASK) and state.left.get(name):
+            carries = get_link_bytes_per_s(state, service.host, name.removeprefix(TASK))
+            on_edge = (service.host, name.removeprefix(TASK)) in state.inventory.links
+            clock.add(service.host, seconds, near=on_edge and carries >= DEMAND)
 
 
 @contextmanager
-def _observe(clock: _Clock) -> Iterator[None]:
-    """Within, each change of the simulation is preceded by a look at where detections stand."""
+def observe(note: Callable[[SimState, float], None]) -> Iterator[None]:
+    """Within, each change of the simulation is preceded by a look at its state, which held for so many seconds."""
 
     def look(state: SimState) -> None:
         seconds = state.env.now - state.metered_at
-        for name, service in state.services.items():
-            if seconds > 0 and name.startswith(TASK) and state.left.get(name):
-                carries = get_link_bytes_per_s(state, service.host, name.removeprefix(TASK))
-                on_edge = (service.host, name.removeprefix(TASK)) in state.inventory.links
-                clock.add(service.host, seconds, near=on_edge and carries >= DEMAND)
+        if seconds > 0:
+            note(state, seconds)
         integrate_loads(state)
 
     with ExitStack() as stack:
