@@ -11,13 +11,12 @@ from typing import Any
 
 import simpy
 
-from edgectl.executor.dependencies import build_step_dependencies, order_by_dependencies
 from edgectl.experiments.model.mission_event import select_present_tasks
 from edgectl.experiments.model.scenario import Scenario, SimJob, SimRun, SimTiming
 from edgectl.experiments.simulator_events import show_reading, start_events
 from edgectl.experiments.simulator_flows import get_job_speed
 from edgectl.experiments.simulator_memory import SimMemory
-from edgectl.experiments.simulator_plans import plan_cycle
+from edgectl.experiments.simulator_plans import order_steps, plan_cycle
 from edgectl.experiments.simulator_speeds import notify_change, update_speeds
 from edgectl.experiments.simulator_state import (
     HostMeter,
@@ -197,12 +196,9 @@ def begin_steps(state: SimState, steps: Sequence[Step]) -> list[simpy.Process]:
     """Begin all steps: those that start something after its needs, and after the moves that leave its host,
     in the order of the executor.
     """
-    waits = build_step_dependencies(tuple(steps), state.tasks)
-    after = {step.task: waits[step.task].tasks if step.task in waits else frozenset() for step in steps}
-    by_name, begun = {step.task: step for step in steps}, dict[str, simpy.Process]()
-    for name in order_by_dependencies(after):
-        before = [begun[other] for other in sorted(after[name])]
-        begun[name] = state.env.process(_run_step(state, by_name[name], before))
+    begun = dict[str, simpy.Process]()
+    for step, needs in order_steps(state.tasks, steps):
+        begun[step.task] = state.env.process(_run_step(state, step, [begun[other] for other in needs]))
     return list(begun.values())
 
 

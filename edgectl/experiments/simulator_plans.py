@@ -3,6 +3,7 @@
 
 from collections.abc import Hashable, Mapping, Sequence
 
+from edgectl.executor.dependencies import build_step_dependencies, order_by_dependencies
 from edgectl.executor.diff import diff_assignment
 from edgectl.experiments.simulator_memory import KnownCycle, SimMemory
 from edgectl.experiments.simulator_oracle import assign_by_oracle
@@ -11,6 +12,7 @@ from edgectl.experiments.simulator_state import SimState
 from edgectl.model.assignment import Assignment, Reason
 from edgectl.model.plan import Step
 from edgectl.model.resource import CPU
+from edgectl.model.task import Tasks
 from edgectl.rules.measured_demand import WARM_UP_S
 from edgectl.scheduler.assign import PreparedPlan, assign, decide_plan, prepare_plan
 from edgectl.scheduler.known_plan import read_again, remember_plan, stays_within
@@ -38,6 +40,14 @@ def plan_cycle(state: SimState) -> tuple[Step, ...]:
         plan = _plan_from_memory(state, state.memory)
     state.standing = plan if not state.oracle and not _may_change(plan) else None
     return plan
+
+
+def order_steps(tasks: Tasks, steps: Sequence[Step]) -> list[tuple[Step, list[str]]]:
+    """The steps in an order of the executor, each with the tasks whose steps end before it."""
+    waits = build_step_dependencies(tuple(steps), tasks)
+    after = {step.task: waits[step.task].tasks if step.task in waits else frozenset[str]() for step in steps}
+    by_name = {step.task: step for step in steps}
+    return [(by_name[name], sorted(after[name])) for name in order_by_dependencies(after)]
 
 
 def _may_change(plan: Sequence[Step]) -> bool:

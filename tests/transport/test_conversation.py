@@ -398,6 +398,27 @@ class ScriptedExchange:
     def close(self) -> None: ...
 
 
+class RestingScript(ScriptedExchange):
+    """The same on a line whose reader may rest; ``rested``: what it was told."""
+
+    arrived_at = 0.0
+
+    def __init__(
+        self, answer: Callable[[str, int, bytes], bytes | None], marker: str, is_free: Callable[[], bool]
+    ) -> None:
+        super().__init__(answer, marker, is_free)
+        self.rested: list[bool] = []
+
+    def rest(self, *, resting: bool) -> None:
+        self.rested.append(resting)
+
+    def await_arrival(self, seconds: float) -> None:
+        until(lambda: not self._said.empty(), every=0.01)
+
+    def has_arrived(self) -> bool:
+        return not self._said.empty()
+
+
 # (word, number, body) of a frame that came -> what the agent says to it
 Answer = Callable[[str, int, bytes], bytes | None]
 
@@ -408,8 +429,9 @@ class ScriptedSession:
     python = "python3"
     free = True
 
-    def __init__(self, answer: Answer) -> None:
-        self.answer, self.begun = answer, 0
+    def __init__(self, answer: Answer, kind: type[ScriptedExchange] = ScriptedExchange) -> None:
+        self.answer, self.begun, self.kind = answer, 0, kind
+        self.opened: list[ScriptedExchange] = []
 
     def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
         return Reply(stdout=b"by a call", stderr=b"", status=0)
@@ -424,7 +446,8 @@ class ScriptedSession:
         self, command: str, stdin: bytes, *, timeout: float, give_way: Callable[[], None]
     ) -> OpenExchange:
         self.begun += 1
-        return ScriptedExchange(self.answer, unpack_request(stdin)[0], lambda: self.free)
+        self.opened.append(self.kind(self.answer, unpack_request(stdin)[0], lambda: self.free))
+        return self.opened[-1]
 
     def close(self) -> None: ...
 
@@ -530,6 +553,16 @@ def test_the_fourth_request_in_a_row_begins_a_conversation_and_does_not_wait_for
 
 START = build_packet({"op": "start", "fleet": "lab", "host": "edge1", "task": "slam"}, "0" * 32, 5.0)
 EXPECTED = Host(name="edge1", role=Role.EDGE, host="edge1")
+
+
+def test_a_line_is_watched_closely_only_while_somebody_waits_for_it() -> None:
+    scripted = ScriptedSession(answer_well, RestingScript)
+    with closing(ConversingSession(scripted)) as session:
+        until_shared(session)
+        run_scripted(session)
+        (exchange,) = scripted.opened
+        assert isinstance(exchange, RestingScript)
+        assert exchange.rested[-4:] == [False, True, False, True]
 
 
 def run_start(session: ConversingSession) -> bytes:
