@@ -33,6 +33,7 @@ from tests.experiments.deviations import (
     render_recoveries,
     render_starts,
 )
+from tests.experiments.edge_pictures import render_edges
 from tests.experiments.lab.disturbances import (
     ASIDE,
     BUSY_CORES,
@@ -53,6 +54,7 @@ HYPOTHESES = {"H1, primary": "static", "H2": "local", "H3": "least-loaded"}
 _PART = re.compile(r"(<!-- from the run: (\w+) -->\n).*?(<!-- end -->\n)", re.DOTALL)
 _MODEL = re.compile(r"(<!-- from the model -->\n).*?(<!-- end -->\n)", re.DOTALL)
 _RECOVERIES = re.compile(r"(<!-- from the model: recoveries -->\n).*?(<!-- end -->\n)", re.DOTALL)
+_EDGES = re.compile(r"(<!-- from the model: edges -->\n).*?(<!-- end -->\n)", re.DOTALL)
 _PICTURES = re.compile(r"(<!-- from the model: pictures -->\n).*?(<!-- end -->\n)", re.DOTALL)
 _LOCAL = re.compile(r"(<!-- from the model: local -->\n).*?(<!-- end -->\n)", re.DOTALL)
 _LINKS = re.compile(r"(<!-- from the model: changing links -->\n).*?(<!-- end -->\n)", re.DOTALL)
@@ -79,6 +81,7 @@ def write_deviations(text: str) -> str:
     run = load_run(RUN)
     text = _RECOVERIES.sub(lambda part: part[1] + render_recoveries(run, RUNS) + part[2], text)
     text = _PICTURES.sub(lambda part: part[1] + render_pictures(run, RUNS) + part[2], text)
+    text = _EDGES.sub(lambda part: part[1] + render_edges(run, RUNS) + part[2], text)
     return write_local(text)
 
 

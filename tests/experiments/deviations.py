@@ -30,12 +30,12 @@ from edgectl.experiments.recovery import Points
 from edgectl.experiments.scheme_results import summarize_trials
 from edgectl.experiments.simulator_events import show_reading
 from edgectl.experiments.simulator_state import SimState
+from tests.experiments.edge_pictures import MOVED, RATE, render_edges
 from tests.experiments.whereabouts import RUN, TASK, observe, simulate_patrol
 
-MOVING = ("least-loaded", "utility all")
 ROBOTS = ("robot1", "robot2", "robot3")
-# s between two plans, and pictures/s of a detection at full speed.
-EVERY_S, RATE = 2.0, 5.0
+# s between two plans.
+EVERY_S = 2.0
 ROBOT_CORES = 0.15
 # Of the model, as the table of the page has it.
 RUNS = 20
@@ -205,8 +205,8 @@ def change_costs(
 
 def render_recoveries(run: ExperimentRun, runs: int) -> str:
     """A row for each way to count, as docs/evaluation.md has it: means, and how many were not overcome."""
-    measured = [measure_recoveries(run, scheme) for scheme in MOVING]
-    model = [simulate_recoveries(scheme, runs) for scheme in MOVING]
+    measured = [measure_recoveries(run, scheme) for scheme in MOVED]
+    model = [simulate_recoveries(scheme, runs) for scheme in MOVED]
     rows = [
         ("measured", measured, True),
         ("in the model", [each.speed for each in model], True),
@@ -215,7 +215,7 @@ def render_recoveries(run: ExperimentRun, runs: int) -> str:
         ("in the model, so, by pictures/s", [each.pictures for each in model], False),
         ("in the model, so, by pictures/s that hold until the next reading", [each.readings for each in model], False),
     ]  # fmt: skip
-    lines: list[tuple[str, ...]] = [("recovery s after a change of links", *MOVING), ("---", "---:", "---:")]
+    lines: list[tuple[str, ...]] = [("recovery s after a change of links", *MOVED), ("---", "---:", "---:")]
     lines += [
         (name, *(_say_recovery(find_link_recovery(each, first=first)) for each in found))
         for name, found, first in rows
@@ -314,6 +314,7 @@ def main(runs: int) -> None:
     run = load_run(RUN)
     print(render_recoveries(run, runs))
     print(render_pictures(run, runs))
+    print(render_edges(run, runs))
     print(render_local(run))
     print(render_starts(run))
 

@@ -12,11 +12,13 @@ from tests.docs import evaluation
 from tests.experiments.deviations import (
     find_link_recovery,
     hold_readings,
+    measure_course,
     measure_idle_cores,
     measure_picture_s,
     measure_recoveries,
     measure_starts,
 )
+from tests.experiments.edge_pictures import measure_edges, read_counter
 from tests.experiments.whereabouts import RUN
 
 
@@ -56,6 +58,20 @@ def test_a_picture_is_what_robots_use_more_of() -> None:
     assert measure_picture_s(other) - measure_picture_s(run) == pytest.approx(0.001, rel=0.05)
 
 
+def test_a_counter_rises_between_its_readings() -> None:
+    points = [(1.0, 0.0), (3.0, 4.0), (3.0, 6.0), (5.0, 7.0)]
+    assert [read_counter(points, at) for at in (1.0, 2.0, 4.0, 9.0)] == [0.0, 2.0, 6.5, 7.0]
+
+
+def test_each_picture_of_the_run_is_of_one_edge() -> None:
+    run = load_run(RUN)
+    measured = [measure_edges(run, "utility all"), measure_edges(run, "static")]
+    counted = [3 * fmean(measure_course(run, scheme).made) for scheme in ("utility all", "static")]
+    assert [sum(each.made for each in found.values()) for found in measured] == pytest.approx(
+        counted, rel=0.04
+    )
+
+
 def test_local_is_as_the_page_says() -> None:
     text = evaluation.PAGE.read_text()
     assert "<!-- from the model: local -->\n|" in text
@@ -84,6 +100,16 @@ def test_sentences_have_the_figures_of_the_tables() -> None:
     said = "counted {:.0f} %), CPU|Counted pictures are {:.0f} % too few, {:.0f} % and {:.0f} % too many"
     for claim in said.format(-off[0], -off[1], *off[2:]).split("|"):
         assert claim in plain, claim
+    edges = read_rows("edges")
+    (own, model_own, late), (third, model_third, also), (least, model_least, more) = (
+        edges[name][:3] for name in ("utility all, edge2", "utility all, edge3", "least-loaded, edge3")
+    )
+    assert f"so {model_own:.0f} pictures of a mission are looked at there and not {own:.0f}" in plain
+    assert (
+        f"on edge3 {model_third:.0f} and not {third:.0f}, with least-loaded {model_least:.0f} and not {least:.0f}"
+        in plain
+    )
+    assert f"Of these {late:.0f}, {also:.0f} and {more:.0f} come after their robot's last stop" in plain
     found, run = read_rows("local"), load_run(RUN)
     assert f"a picture takes {1000 * measure_picture_s(run):.0f} ms of its robot in the run" in plain
     assert f"an idle host {measure_idle_cores(run):.3f} cores and not 0.016" in plain
@@ -100,7 +126,7 @@ def test_sentences_have_the_figures_of_the_tables() -> None:
 
 
 @pytest.mark.slow
-def test_recoveries_are_as_the_page_says() -> None:
+def test_the_tables_of_the_model_are_as_the_page_says() -> None:
     text = evaluation.PAGE.read_text()
     assert "<!-- from the model: recoveries -->\n|" in text
     assert evaluation.write_deviations(text) == text, "make evaluation"
