@@ -31,6 +31,7 @@ from tests.builders import a_task, an_edge, an_inventory
 from tests.e2e import memory_task
 from tests.e2e.bench import EAGER, GENTLE, QUICK, Bench, a_local, open_bench
 from tests.e2e.test_handoff import ManagerKilledError, exclude_host
+from tests.pace import patience
 
 EDGES = [a_local(an_edge("edge1"), "127.0.0.51"), a_local(an_edge("edge2"), "127.0.0.52")]
 SECRET = "tell-no-one-2217"
@@ -216,7 +217,7 @@ def test_a_load_that_fails_ends_in_the_old_instance_with_its_memory(
 
 
 def test_an_old_instance_that_takes_nothing_serves_without_its_state(scene: Scene) -> None:
-    task = scene.task(load=Check(command="exit 9", timeout=1.0))
+    task = scene.task(load=Check(command="exit 9", timeout=patience(5.0)))
     old = scene.running(task)
     result = scene.move(task, old)
     assert (result.outcome, result.located) == (Outcome.FAILED, old)
