@@ -22,6 +22,7 @@ from edgectl.transport.ssh_errors import translate_ssh_error
 GRACE_S = 0.5
 CHANNEL_PAUSES_S = (0.02, 0.05, 0.1, 0.3, 1.0)
 _CHUNK_BYTES = 65536
+_LOST_HINT = "try again; the host may have restarted"
 # More than a pulse has.
 _FEW_BYTES = 64
 # Of a log, between two reads: the window of a channel and as much again, bytes.
@@ -129,7 +130,8 @@ class SshSession:
         if channel.exit_status != -1:
             return
         if not self.transport.is_active():
-            raise ConnectError("the connection was lost", hint="try again; the host may have restarted")
+            cause = self.transport.saved_exception
+            raise ConnectError("the connection was lost", hint=_LOST_HINT) from cause
         if not channel.event_ready:
             raise paramiko.SSHException("the server refused to run a command")
 
@@ -142,7 +144,9 @@ class SshSession:
             raise DeadlineError(f"no answer within {seconds:.3g} s", host=self.name) from error
         except Exception as error:
             ours = translate_ssh_error(error, self.name)
-            raise ours from (None if ours is error else error)
+            if ours is error:
+                raise
+            raise ours from error
 
     def can_send(self) -> bool:
         """Whether the line takes a few bytes without a wait; behind a jump host nobody knows."""
@@ -193,7 +197,7 @@ class SshSession:
 
     def _open_once(self, deadline: float, window: int | None) -> paramiko.Channel:
         if not self.transport.is_active():
-            raise ConnectError("the connection was lost")
+            raise ConnectError("the connection was lost", hint=_LOST_HINT) from self.transport.saved_exception
         left = max(0.01, deadline - time.monotonic())
         return self.transport.open_session(window_size=window, timeout=left)
 
