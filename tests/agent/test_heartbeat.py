@@ -97,7 +97,8 @@ def test_old_heartbeat_and_heartbeat_of_another_boot(host: AgentHost) -> None:
 
 
 def test_waiting_for_a_restart_is_ended_too(host: AgentHost) -> None:
-    host.start("slam", "exit 3", self_fence_s=2.5, restart="always")
+    """With its jitter it runs at 0, at about 1, by 3.75, and not again before 5.25 s."""
+    host.start("slam", "exit 3", self_fence_s=4.5, restart="always")
     status = fenced(host, "slam")
     assert (status["state"], status["exit_code"], status["last_exit"]) == ("failed", 3, 3)
 
