@@ -47,16 +47,10 @@ def _smooth_host(before: HostSample | None, now: HostSample, weight: float) -> H
         else found
         for name, found in now.usage.items()
     }
-    links = {
-        robot: _smooth_link(robot, before.links[robot], link, (was, ours, averaged), weight)
-        if robot in before.links
-        else link
-        for robot, link in now.links.items()
-    }
     return dataclasses.replace(
         now,
         usage=usage,
-        links=links,
+        links=_smooth_links(before.links, now.links, (was, ours, averaged), weight),
         tasks={name: runs[name] for name in now.tasks},
         standbys={name: runs[name] for name in now.standbys},
     )
@@ -94,6 +88,21 @@ def _smooth_usage(
     was, ours, averaged = (sum(task.used[name] for task in each) for each in tasks)
     others = _compute_mean(before.used - was, now.used - ours, weight)
     return ResourceUsage(capacity=now.capacity, used=max(0.0, others + averaged))
+
+
+def _smooth_links(
+    before: Mapping[str, LinkSample],
+    now: Mapping[str, LinkSample],
+    tasks: tuple[list[TaskSample], list[TaskSample], list[TaskSample]],
+    weight: float,
+) -> Mapping[str, LinkSample]:
+    if not any(tasks) and before == now:
+        # The mean of equal values; most links of a large fleet are idle.
+        return now
+    return {
+        robot: _smooth_link(robot, before[robot], link, tasks, weight) if robot in before else link
+        for robot, link in now.items()
+    }
 
 
 def _smooth_link(

@@ -49,6 +49,8 @@ def observe_link(
 
     ``nominal``: bytes/s that it carries where nothing was read of it.
     """
+    if _says_nothing_new(known, seen):
+        return known
     known = _note_answer(known, seen, now)
     if seen.carries_bytes_per_s:
         found = _add_reading(known, seen.carries_bytes_per_s, CapacitySource.TCP, now, nominal)
@@ -58,11 +60,21 @@ def observe_link(
     return _refute_readings(_confirm_fall(known, seen.used_bytes_per_s), seen.used_bytes_per_s, now)
 
 
+def _says_nothing_new(known: LinkHistory, seen: LinkObservation) -> bool:
+    """Whether an idle link without readings answers as it did: most links of a large fleet, looked at in each
+    cycle of a watch.
+    """
+    waits = known.readings or known.silent or known.silent_since or known.cut_off
+    return not (waits or seen.carries_bytes_per_s) and bool(seen.answered) == known.answered
+
+
 def forget_former_readings(known: Histories, now: float) -> dict[Pair, LinkHistory]:
     """The histories without readings of where a robot was before: when the link of its tasks falls ``now``,
     older ones of its other links say no more than what is declared.
     """
     fell = {robot for (_, robot), each in known.items() if each.fell_at == now}
+    if not fell:
+        return dict(known)
     return {
         pair: replace(each, readings=tuple(one for one in each.readings if one.at > now - FRESH_S))
         if pair[1] in fell
@@ -186,7 +198,7 @@ def compute_live_link(link: LinkSample, known: LinkHistory, radio: float | None,
     stays down, and one whose robot is cut off goes down.
     """
     nominal = link.capacity_bytes_per_s
-    if not nominal:
+    if not nominal or not (known.readings or known.cut_off or radio):
         return link
     if known.cut_off:
         return replace(link, capacity_bytes_per_s=0.0)

@@ -24,8 +24,9 @@ UNKNOWN_NAME_HINT = "correct host: in the inventory, or ssh_config"
 REFUSED_HINT = "check that sshd runs there, and host: and port: in the inventory"
 # Data that stays unacknowledged this long means a dead line, milliseconds.
 TCP_USER_TIMEOUT_MS = 20_000
-# paramiko asks for 0.1 s on each of its sockets: ten wake-ups per second and connection that see nothing.
-MIN_POLL_S = 2.0
+# paramiko asks for 0.1 s on each of its sockets: ten wake-ups per second and connection that see nothing. Its
+# keepalives go with them (`ssh.KEEPALIVE_S`).
+MIN_POLL_S = 5.0
 # More than any login needs, and than comes while nothing is asked, bytes.
 MAX_LOGIN_BYTES = 1 << 18
 # What a new key exchange counts besides its bytes: it takes as long as so many.
@@ -116,7 +117,7 @@ class TunedSocket(socket.socket):
         return data
 
     def settimeout(self, value: float | None, /) -> None:
-        """Poll at most every two seconds: shutting the socket down stops a read at once."""
+        """Poll at most each `MIN_POLL_S`: shutting the socket down stops a read at once."""
         super().settimeout(None if value is None else max(value, MIN_POLL_S))
 
 

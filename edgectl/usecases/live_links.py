@@ -37,7 +37,7 @@ def measure_live_links(
             # A robot that is never contacted never counts as cut off.
             replace(link, answered=True) if pair[1] in blind else link,
             snapshot.taken_at,
-            _find_nominal(snapshot, pair),
+            _find_nominal(snapshot, pair) if link.carries_bytes_per_s else math.inf,
         )
         for pair, link in observations.items()
     }

@@ -52,6 +52,16 @@ def test_a_sample_one_period_later_weighs_three_tenths() -> None:
     assert host.links["robot2"].used_bytes_per_s == 7.0
 
 
+def test_links_that_are_as_before_are_the_same_and_the_traffic_of_a_task_that_ends_is_gone() -> None:
+    idle = {"robot1": a_link(used=1e6), "robot2": a_link(used=0.0)}
+    busy = replace(a_sample(links=idle), tasks={"t": a_run(links={"robot1": 1e6})})
+    later = a_snapshot(taken_at=NOW + PERIOD, edge1=a_sample(links=dict(idle)))
+    assert smooth_all(a_snapshot(edge1=a_sample(links=idle)), later).hosts["edge1"].links == idle
+    ended = smooth_all(a_snapshot(edge1=busy), later).hosts["edge1"].links["robot1"]
+    # The traffic is others' now: before there was none.
+    assert ended.used_bytes_per_s == pytest.approx(0.3e6)
+
+
 def test_a_copy_is_smoothed_and_takes_its_readings_along_when_it_becomes_active() -> None:
     made = smooth_all(
         a_snapshot(edge1=replace(a_sample(used=1.0), standbys={"t": a_run(used=Usage(cpu=0.5))})),

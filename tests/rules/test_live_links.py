@@ -4,9 +4,12 @@
 from dataclasses import replace
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from edgectl.model.link_reading import LinkHistory, LinkObservation, LinkSampleResult
+from edgectl.model.link_reading import LinkHistory, LinkObservation, LinkReading, LinkSampleResult
 from edgectl.model.snapshot import CapacitySource, InterfaceSample, LinkSample
+from edgectl.rules import live_links
 from edgectl.rules.link_turns import choose_links_to_probe
 from edgectl.rules.live_links import (
     MAX_READING_AGE_S,
@@ -64,6 +67,39 @@ def test_a_robot_that_answered_and_falls_silent_for_three_probes_and_five_second
     assert follow(True, None, None, None, step=0.1) == 6e6, "three probes of one moment"
     assert follow(True, None, None, None, True) == follow(True, None, None, True, None) == 6e6
     assert follow(None, None, None, None) == 6e6, "behind a firewall it never answers"
+
+
+READINGS = st.lists(st.sampled_from([1e6, 2e6, 5e6]), max_size=2).map(
+    lambda rates: tuple(
+        LinkReading(bytes_per_s=rate, at=at, source=CapacitySource.TCP) for at, rate in enumerate(rates)
+    )
+)
+HISTORIES = st.builds(
+    LinkHistory,
+    readings=READINGS,
+    answered=st.booleans(),
+    silent=st.integers(0, 3),
+    silent_since=st.sampled_from([0.0, 1.0]),
+    cut_off=st.booleans(),
+    fell_at=st.sampled_from([0.0, 1.0]),
+)
+OBSERVATIONS = st.builds(
+    LinkObservation,
+    used_bytes_per_s=st.sampled_from([0.0, 9e5, 3e6]),
+    carries_bytes_per_s=st.sampled_from([None, 0.0, 1e6]),
+    answered=st.sampled_from([None, False, True]),
+)
+
+
+@given(HISTORIES, OBSERVATIONS)
+def test_a_link_that_says_nothing_new_would_be_left_as_it_is(
+    known: LinkHistory, seen: LinkObservation
+) -> None:
+    if live_links._says_nothing_new(known, seen):
+        noted = live_links._note_answer(known, seen, 9.0)
+        rate = seen.used_bytes_per_s
+        assert live_links._refute_readings(live_links._confirm_fall(noted, rate), rate, 9.0) == known
+        assert not seen.carries_bytes_per_s
 
 
 def test_source_age_and_nominal_capacity_are_told() -> None:
