@@ -81,7 +81,9 @@ def no_penalty_options() -> tuple[str, ...]:
 
 @dataclass(kw_only=True)
 class Server:
-    """One sshd. ``key`` is its public host key line (type and base64), ``home`` the HOME of the login."""
+    """One sshd. ``key`` is its public host key line (type and base64), ``home`` the HOME of the login; ``enter``: words
+    before its command, which enter namespaces of its own.
+    """
 
     name: str
     address: str
@@ -91,6 +93,7 @@ class Server:
     home: Path
     process: subprocess.Popen[bytes] | None = None
     extra: tuple[str, ...] = ()
+    enter: tuple[str, ...] = ()
 
     @property
     def known_hosts_line(self) -> str:
@@ -104,7 +107,14 @@ class Server:
         """Start sshd, without waiting for it."""
         log = (self.directory / "sshd.log").open("wb")
         with log:
-            command = [find_program("sshd"), "-D", "-e", "-f", str(self.directory / "sshd_config")]
+            command = [
+                *self.enter,
+                find_program("sshd"),
+                "-D",
+                "-e",
+                "-f",
+                str(self.directory / "sshd_config"),
+            ]
             self.process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
             )
@@ -250,8 +260,10 @@ class Lab:
                 if path.name != "agent":
                     shutil.rmtree(path)
 
-    def add(self, name: str, *, address: str = "", extra: Sequence[str] = ()) -> Server:
-        """Create the files of one more server; it is not started yet."""
+    def add(
+        self, name: str, *, address: str = "", extra: Sequence[str] = (), enter: Sequence[str] = ()
+    ) -> Server:
+        """Create the files of one more server; it is not started yet. One with ``enter`` has every port for itself."""
         directory = self.directory / name
         home = directory / "home"
         home.mkdir(parents=True)
@@ -261,11 +273,12 @@ class Lab:
         server = Server(
             name=name,
             address=address,
-            port=free_port(address),
+            port=2222 if enter else free_port(address),
             directory=directory,
             key=key,
             home=home,
             extra=tuple(extra),
+            enter=tuple(enter),
         )
         self.servers[name] = server
         self.configure(server, extra)
@@ -302,9 +315,15 @@ class Lab:
 
 
 @contextmanager
-def running_lab(directory: Path, names: Sequence[str], *, extra: Sequence[str] = ()) -> Iterator[Lab]:
-    """Start one server per name; ``extra`` are sshd_config lines for all. Everything that ran on them is
-    ended afterwards.
+def running_lab(
+    directory: Path,
+    names: Sequence[str],
+    *,
+    extra: Sequence[str] = (),
+    networks: Mapping[str, tuple[str, Sequence[str]]] | None = None,
+) -> Iterator[Lab]:
+    """Start one server per name; ``extra`` are sshd_config lines for all, ``networks`` the address of each and the
+    words that enter its namespaces. Everything that ran on them is ended afterwards.
     """
     directory.mkdir(parents=True, exist_ok=True)
     if os.geteuid() == 0:
@@ -313,7 +332,8 @@ def running_lab(directory: Path, names: Sequence[str], *, extra: Sequence[str] =
     lab.authorized_keys.write_text(make_key(lab.user_key) + "\n")
     try:
         for name in names:
-            lab.add(name, extra=extra)
+            address, enter = (networks or {}).get(name, ("", ()))
+            lab.add(name, address=address, extra=extra, enter=enter)
         lab.write_files()
         for server in lab.servers.values():
             server.start()

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CPU of a watch over N hosts: ``python -m tests.benchmarks.watched_fleet [N] [SECONDS] [profilers]``.
+"""CPU of a watch over N hosts: ``python -m tests.benchmarks.watched_fleet [N] [SECONDS] [profilers] [loopback]``.
 
-Real SSH servers on loopback, a fifth of them robots, and one task for every fourth host. ``edgectl watch --every 1s``
+Real SSH servers, each in a network of its own where root runs this, a fifth of them robots, and one task for every fourth host. ``edgectl watch --every 1s``
 runs as a process of its own; its CPU is that of all its threads, and a host's that of its server, the login shells
-and the agents. With ``profilers`` a profiler runs on each host; it counts as well. The hosts share the table of processes
-of this machine, which each of them searches.
+and the agents. With ``profilers`` a profiler runs on each host; it counts as well. With ``loopback`` the hosts have
+no networks of their own, so each counts the packets of all. They always share CPU, memory and the table of processes.
 """
 
 import os
@@ -15,14 +15,21 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
+from tests.faults.hosts import wait_for
+from tests.faults.network import ManagerNetwork, plug_in_card
 from tests.sshd import Lab, running_lab
 
 WARM_UP_S = 15.0
 # Shares of a core: of the manager, and of a host.
 MOST_MANAGER, MOST_HOST = 0.03, 0.005
+# A view of its own network in /sys, with the control groups that are there already.
+_MOUNT = """
+mount --bind /sys/fs/cgroup "$0" && mount -t sysfs sysfs /sys && mount --bind "$0" /sys/fs/cgroup && umount "$0" && exec cat
+"""
+Networks = dict[str, tuple[str, list[str]]]
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
@@ -71,10 +78,32 @@ def read_tree_cpu_s(roots: Sequence[int]) -> dict[int, float]:
 
 
 @contextmanager
-def watching(folder: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a watch; it is ended by the signal that an operator would send."""
+def making_networks(folder: Path, names: Sequence[str]) -> Iterator[tuple[list[str], Networks]]:
+    """Give the manager a network with a bridge, and each host one at that bridge; return the words that enter the
+    first, and the address and the words of each host.
+    """
+    site = ManagerNetwork.make("10.232.0")
+    with ExitStack() as stack:
+        stack.callback(site.close)
+        (folder / "groups").mkdir()
+        made: Networks = {}
+        for number, name in enumerate(names, start=2):
+            command = ["unshare", "--net", "--mount", "sh", "-c", _MOUNT, str(folder / "groups")]
+            process = stack.enter_context(
+                subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+            )
+            wait_for(lambda pid=process.pid: Path(f"/proc/{pid}/comm").read_text() == "cat\n", "a network")  # type: ignore[misc]
+            address = f"10.232.0.{number}"
+            plug_in_card(f"card{number}", site=site.process.pid, inside=process.pid, address=address)
+            made[name] = address, ["nsenter", f"--target={process.pid}", "--net", "--mount"]
+        yield site.prefix, made
+
+
+@contextmanager
+def watching(folder: Path, enter: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a watch, after the words that enter its network; it is ended by the signal that an operator would send."""
     with (folder / "output").open("wb") as output:
-        command = [sys.executable, "-m", "edgectl", "watch", "--every", "1s"]
+        command = [*enter, sys.executable, "-m", "edgectl", "watch", "--every", "1s"]
         process = subprocess.Popen(command, cwd=folder, stdout=output, stderr=output)
     try:
         yield process
@@ -90,35 +119,42 @@ def count_cycles(folder: Path) -> int:
         return int(connection.execute("SELECT count(DISTINCT at) FROM host_samples").fetchone()[0])
 
 
-def measure(lab: Lab, folder: Path, seconds: float) -> tuple[float, list[float], float]:
+def measure(lab: Lab, folder: Path, enter: Sequence[str], seconds: float) -> tuple[float, list[float], float]:
     """Return shares of a core: of the manager, and of each host; and cycles per second."""
     servers = [server.process.pid for server in lab.servers.values() if server.process is not None]
-    with watching(folder) as process:
+    with watching(folder, enter) as process:
         time.sleep(WARM_UP_S)
         cycles = count_cycles(folder)
         before, began = read_tree_cpu_s([process.pid, *servers]), time.monotonic()
         time.sleep(seconds)
         after, took = read_tree_cpu_s([process.pid, *servers]), time.monotonic() - began
         rate = (count_cycles(folder) - cycles) / took
-        assert process.poll() is None, (folder / "output").read_text()
+        said = (folder / "output").read_text()
+        assert process.poll() is None, said
+        assert "host-lost" not in said, said
     shares = {pid: (after[pid] - before[pid]) / took for pid in after}
     return shares.pop(process.pid), list(shares.values()), rate
 
 
 def main(words: Sequence[str]) -> int:
     """Print the shares; return 1 if a goal is missed."""
-    numbers = [float(word) for word in words if word != "profilers"]
+    numbers = [float(word) for word in words if word not in ("profilers", "loopback")]
     count, seconds = int(numbers[0]) if numbers else 64, numbers[1] if len(numbers) > 1 else 30.0
     names = [f"robot{n}" if n % 5 == 0 else f"edge{n}" for n in range(count, 0, -1)]
     with tempfile.TemporaryDirectory(prefix="edgectl-") as directory:
         folder = Path(directory)
         write_files(folder, names)
-        with running_lab(folder / "lab", names) as lab:
+        with ExitStack() as stack:
+            enter: list[str] = []
+            networks: Networks | None = None
+            if os.geteuid() == 0 and "loopback" not in words:
+                enter, networks = stack.enter_context(making_networks(folder, names))
+            lab = stack.enter_context(running_lab(folder / "lab", names, networks=networks))
             os.environ.update(lab.environment | {"EDGECTL_STATE_DIR": str(folder / "state")})
             if "profilers" in words:
-                ask = [sys.executable, "-m", "edgectl", "profilers", "start", "--every", "1s"]
+                ask = [*enter, sys.executable, "-m", "edgectl", "profilers", "start", "--every", "1s"]
                 subprocess.run(ask, cwd=folder, check=True, capture_output=True)
-            manager, hosts, rate = measure(lab, folder, seconds)
+            manager, hosts, rate = measure(lab, folder, enter, seconds)
     mean = sum(hosts) / len(hosts)
     print(
         f"{count} hosts, {seconds:.0f} s, {rate:.2f} cycles/s: {manager:.2%} of a core here, {1000 * manager / rate:.1f} ms"
