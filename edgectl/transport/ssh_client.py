@@ -5,12 +5,14 @@ A host is reached by paramiko's client, a jump host by a connection of Fabric, w
 of them (ADR 164). Both verify, log in and are bounded by the same objects.
 """
 
+import struct
 import threading
 from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any, NamedTuple
 
 import paramiko
+from paramiko.common import MSG_CHANNEL_CLOSE, MSG_CHANNEL_FAILURE, MSG_CHANNEL_WINDOW_ADJUST
 
 from edgectl.transport.deferred_imports import import_deferred
 from edgectl.transport.host_keys import HostKeyVerifier
@@ -18,6 +20,9 @@ from edgectl.transport.known_hosts import HostKey
 from edgectl.transport.sockets import REKEY_BYTES, Line
 from edgectl.transport.ssh_auth import LoginStrategy
 from edgectl.transport.ssh_config import ResolvedHost
+
+# Kinds that begin with the server's number of a channel.
+_CHANNEL_MESSAGES = range(MSG_CHANNEL_WINDOW_ADJUST, MSG_CHANNEL_FAILURE + 1)
 
 
 class PreparedClient(NamedTuple):
@@ -79,11 +84,36 @@ class _HostKeyPolicy(paramiko.MissingHostKeyPolicy):
 
 
 class BoundedTransport(paramiko.Transport):
-    """A transport that counts each key exchange against its line's allowance, and never waits for itself."""
+    """A transport that counts each key exchange against its line's allowance, never waits for itself, and
+    says nothing to a channel after its end.
+    """
 
     def __init__(self, line: Line) -> None:
         super().__init__(line)  # type: ignore[arg-type]
         self._allowance = line.allowance
+        # The server's numbers of channels whose end was sent; it gives them again.
+        self._ended: set[int] = set()
+
+    def open_channel(self, *args: Any, **options: Any) -> paramiko.Channel:  # noqa: ANN401 - as paramiko has it
+        """As paramiko's."""
+        channel = super().open_channel(*args, **options)
+        self._ended.discard(channel.remote_chanid)
+        return channel
+
+    def _send_message(self, data: paramiko.Message) -> None:
+        """Send a message, unless it is of a channel whose end was sent before.
+
+        paramiko makes a message with the lock of its channel and sends it without, so another thread may end
+        the channel in between (its issue 1115); OpenSSH then ends the connection with all its channels.
+        Messages of channels come here one at a time.
+        """
+        kind, number = struct.unpack(">BI", data.asbytes()[:5].ljust(5, b"\0"))
+        if kind in _CHANNEL_MESSAGES:
+            if number in self._ended:
+                return
+            if kind == MSG_CHANNEL_CLOSE:
+                self._ended.add(number)
+        super()._send_message(data)  # type: ignore[misc]
 
     def _parse_kex_init(self, m: paramiko.Message) -> None:
         self._allowance.charge(REKEY_BYTES)

@@ -39,6 +39,25 @@ def wait_until_released(threads: int, files: int) -> bool:
     return threading.active_count() <= threads and count_open_files() <= files
 
 
+def test_what_is_said_to_a_channel_after_its_end_does_not_end_the_connection(lab: Lab) -> None:
+    """As of two threads of which one has made a message, and the other ends the channel before it is sent: OpenSSH
+    takes that for an attack on a channel that does not exist.
+    """
+    with SshTransport().connect(lab.host("edge1"), timeout=patience(10)) as session:
+        for turn in range(3):
+            channel = session.transport.open_session()
+            channel.exec_command(f"echo {turn}")
+            with channel.lock:
+                late = channel._send_eof()  # type: ignore[attr-defined]
+            assert channel.makefile().read() == f"{turn}\n".encode()
+            assert channel.closed or channel.status_event.wait(patience(10))
+            channel.close()
+            session.transport._send_user_message(late)  # type: ignore[attr-defined]
+            with pytest.raises(OSError, match="closed"):
+                channel.sendall(b"more")
+            assert session.run("echo still", b"", timeout=patience(20)).stdout == b"still\n"
+
+
 def test_nothing_is_left_open(lab: Lab, tmp_path: Path) -> None:
     make_key(tmp_path / "stranger")
     transport = SshTransport()
