@@ -230,6 +230,16 @@ def test_events_are_listed_and_marked() -> None:
     assert all("Dotted" not in drawing.caption for drawing in draw(a_run(SCHEMES[1:2], 1, trials=1)))
 
 
+def test_events_of_many_trials_do_not_cover_their_lines() -> None:
+    run = disturb(keep_loads(a_run(SCHEMES[1:3], 3), "edge1"))
+    (cpu,) = (drawing for drawing in draw(run) if drawing.name == "cpu")
+    assert "Short lines at the top" in cpu.caption
+    for panel in cpu.figure.axes:
+        marks = [line for line in panel.lines if list(line.get_xdata()) == [line.get_xdata()[0]] * 2]
+        assert len(marks) == 3 * len(run.trials[0].events)
+        assert all(min(line.get_ydata()) > 0.9 for line in marks)
+
+
 def _is_dotted(line: Any) -> bool:
     return line.get_linestyle() == "--" and list(line.get_xdata()) == [line.get_xdata()[0]] * 2
 

@@ -12,15 +12,26 @@ from edgectl.experiments.model.mission_event import CHANGE_KEYS, EventRecord
 from edgectl.experiments.report.figure_style import INK
 
 CAPTION = " Dotted vertical lines are events of the mission, shaded until they are undone."
+CAPTION_OF_MANY = " Short lines at the top of a panel are the events of all its trials."
 _SIGNS = dict(zip(CHANGE_KEYS, ("s", "D", "X", "P", "o", "*", "h", "p"), strict=True))
 _OTHER_SIGN = "d"
+# Of the height of a panel.
+_SHORT_FROM = 0.92
 _LINE: dict[str, Any] = {"color": INK, "linestyle": (0, (1, 2)), "linewidth": 0.6, "zorder": 1.5}
 _SHADE: dict[str, Any] = {"color": INK, "alpha": 0.07, "linewidth": 0.0, "zorder": 0.5}
 
 
-def draw_event_marks(panel: Axes, records: Iterable[EventRecord], second: float) -> None:
-    """Lines and shades of events that were brought about; ``second``: s per unit of the axis."""
+def draw_event_marks(
+    panel: Axes, records: Iterable[EventRecord], second: float, *, of_many: bool = False
+) -> None:
+    """Lines and shades of events that were brought about; ``second``: s per unit of the axis.
+
+    ``of_many``: short lines at the top, because those of many trials would cover what they mark.
+    """
     for record in records:
+        if of_many:
+            panel.axvline(record.at / second, ymin=_SHORT_FROM, color=INK, linewidth=0.4)
+            continue
         panel.axvline(record.at / second, **_LINE)
         if record.until is not None:
             panel.axvspan(record.at / second, record.until / second, **_SHADE)

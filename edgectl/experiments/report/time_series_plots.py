@@ -10,7 +10,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from edgectl.experiments.model.experiment import ExperimentRun, HostCapacity, Trial
-from edgectl.experiments.report.event_marks import CAPTION, draw_event_marks, list_event_kinds
+from edgectl.experiments.report.event_marks import (
+    CAPTION,
+    CAPTION_OF_MANY,
+    draw_event_marks,
+    list_event_kinds,
+)
 from edgectl.experiments.report.figure_style import (
     ReportFigure,
     choose_time_unit,
@@ -70,7 +75,7 @@ def draw_readings(run: ExperimentRun) -> list[ReportFigure]:
             {task for trial in run.trials for task, rows in trial.readings.get(name, {}).items() if rows},
             key=natural_key,
         )
-        heads = {task: shorten_label(task, 20) for task in tasks}
+        heads = {task: wrap_label(task) for task in tasks}
         found += _draw_quantity(
             run,
             f"metric-{number}",
@@ -128,7 +133,7 @@ def _draw_quantity(
     ``most``: smallest upper end of the value axis.
     """
     measure = "As written by the tasks" if what == "task" else f"In {unit}"
-    marks = CAPTION if list_event_kinds(run.trials) else ""
+    marks = (CAPTION_OF_MANY if _has_many_trials(run) else CAPTION) if list_event_kinds(run.trials) else ""
     columns = list(heads)
     return [
         ReportFigure(
@@ -165,7 +170,7 @@ def _draw_time_series_figure(
         for column, panel in zip(heads, row, strict=True):
             lines_of_trials = [series for trial in trials if (series := sorted(read(trial, column)))]
             for trial in trials:
-                draw_event_marks(panel, trial.events, second)
+                draw_event_marks(panel, trial.events, second, of_many=_has_many_trials(run))
             _draw_series_panel(
                 panel, lines_of_trials, get_scheme_colour(run, scheme), second, run.experiment.every
             )
@@ -175,6 +180,11 @@ def _draw_time_series_figure(
     label_rows(figure, axes, schemes, unit)
     label_x_axis(figure, f"time since the start of the trial ({word})")
     return figure
+
+
+def _has_many_trials(run: ExperimentRun) -> bool:
+    """Whether a panel has the lines of more than one trial."""
+    return any(len(select_trials(run, scheme)) > 1 for scheme in list_tried_schemes(run))
 
 
 def _draw_series_panel(
