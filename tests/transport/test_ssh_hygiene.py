@@ -39,16 +39,20 @@ def wait_until_released(threads: int, files: int) -> bool:
     return threading.active_count() <= threads and count_open_files() <= files
 
 
-def test_what_is_said_to_a_channel_after_its_end_does_not_end_the_connection(lab: Lab) -> None:
+def test_what_is_said_to_a_channel_after_its_end_does_not_end_the_connection(
+    lab: Lab, tmp_path: Path
+) -> None:
     """As of two threads of which one has made a message, and the other ends the channel before it is sent: OpenSSH
     takes that for an attack on a channel that does not exist.
     """
     with SshTransport().connect(lab.host("edge1"), timeout=patience(10)) as session:
         for turn in range(3):
             channel = session.transport.open_session()
-            channel.exec_command(f"echo {turn}")
+            gate = tmp_path / str(turn)
+            channel.exec_command(f"until [ -e {gate} ]; do sleep 0.02; done; echo {turn}")
             with channel.lock:
                 late = channel._send_eof()  # type: ignore[attr-defined]
+            gate.touch()
             assert channel.makefile().read() == f"{turn}\n".encode()
             assert channel.closed or channel.status_event.wait(patience(10))
             channel.close()
