@@ -235,13 +235,21 @@ def test_events_of_many_trials_do_not_cover_their_lines() -> None:
     (cpu,) = (drawing for drawing in draw(run) if drawing.name == "cpu")
     assert "Short lines at the top" in cpu.caption
     for panel in cpu.figure.axes:
-        marks = [line for line in panel.lines if list(line.get_xdata()) == [line.get_xdata()[0]] * 2]
+        marks = [line for line in panel.lines if _is_upright(line)]
         assert len(marks) == 3 * len(run.trials[0].events)
-        assert all(min(line.get_ydata()) > 0.9 for line in marks)
+        assert all(_find_lowest(line) > 0.9 for line in marks)
 
 
 def _is_dotted(line: Any) -> bool:
-    return line.get_linestyle() == "--" and list(line.get_xdata()) == [line.get_xdata()[0]] * 2
+    return line.get_linestyle() == "--" and _is_upright(line)
+
+
+def _is_upright(line: Any) -> bool:
+    return list(line.get_xdata()) == [line.get_xdata()[0]] * 2
+
+
+def _find_lowest(line: Any) -> float:
+    return float(min(line.get_ydata()))
 
 
 def _larger(run: ExperimentRun) -> ExperimentRun:
