@@ -85,14 +85,16 @@ class _StayingAgent:
         """
         while True:
             ready = self._wait(self._heard + SILENCE_S)
-            if time.monotonic() - self._heard >= SILENCE_S:
-                # Silence; or this process was frozen, and what came meanwhile is too old to be a contact.
+            data = os.read(0, _OUTPUT_BYTES) if 0 in ready else b""
+            now = time.monotonic()
+            if now - self._heard >= SILENCE_S:
+                # Silence; or this process was frozen, also just before it read, and what came meanwhile is
+                # too old to be a contact.
                 return
             if 0 in ready:
-                data = os.read(0, _OUTPUT_BYTES)
                 if not data:
                     return
-                self._heard = time.monotonic()
+                self._heard = now
                 for word, number, body in self._reader.feed(data):
                     if word == ASK:
                         self._begin(number, body)
