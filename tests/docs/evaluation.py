@@ -25,6 +25,7 @@ from edgectl.experiments.scheme_comparison import MISSION_TIME, compare_schemes
 from edgectl.experiments.scheme_results import compute_estimate, summarize_trials
 from edgectl.experiments.views.answer import describe_answer
 from tests.docs.blocks import environment
+from tests.docs.tables import render_table
 from tests.experiments.cycle_times import PILOT, render_times
 from tests.experiments.deviations import (
     RUNS,
@@ -53,11 +54,7 @@ DRAWN = ("latency.svg", "cpu.svg", "gantt.svg", "metric-1.svg")
 HYPOTHESES = {"H1, primary": "static", "H2": "local", "H3": "least-loaded"}
 _PART = re.compile(r"(<!-- from the run: (\w+) -->\n).*?(<!-- end -->\n)", re.DOTALL)
 _MODEL = re.compile(r"(<!-- from the model -->\n).*?(<!-- end -->\n)", re.DOTALL)
-_RECOVERIES = re.compile(r"(<!-- from the model: recoveries -->\n).*?(<!-- end -->\n)", re.DOTALL)
-_EDGES = re.compile(r"(<!-- from the model: edges -->\n).*?(<!-- end -->\n)", re.DOTALL)
-_PICTURES = re.compile(r"(<!-- from the model: pictures -->\n).*?(<!-- end -->\n)", re.DOTALL)
-_LOCAL = re.compile(r"(<!-- from the model: local -->\n).*?(<!-- end -->\n)", re.DOTALL)
-_LINKS = re.compile(r"(<!-- from the model: changing links -->\n).*?(<!-- end -->\n)", re.DOTALL)
+_MODEL_PART = re.compile(r"(<!-- from the model: ([\w ]+) -->\n).*?(<!-- end -->\n)", re.DOTALL)
 # The world of the sensitivity that is the scenario as it is shipped.
 SHIPPED = {"radio": "separate", "robot_cores": "1", "link_ratio": "10"}
 _EXACT = re.compile(r"(<!-- exact -->\n```console\n)(.*?)(^```$)", re.MULTILINE | re.DOTALL)
@@ -76,23 +73,12 @@ def write_model(text: str) -> str:
     return _MODEL.sub(lambda part: part[1] + render_model(SEEDS) + part[2], text)
 
 
-def write_deviations(text: str) -> str:
-    """The page with recoveries, pictures, and ``local``, measured and in the model."""
+def write_model_parts(text: str, *names: str) -> str:
+    """The page with those parts of `MODEL_PARTS`, measured and in the model."""
     run = load_run(RUN)
-    text = _RECOVERIES.sub(lambda part: part[1] + render_recoveries(run, RUNS) + part[2], text)
-    text = _PICTURES.sub(lambda part: part[1] + render_pictures(run, RUNS) + part[2], text)
-    text = _EDGES.sub(lambda part: part[1] + render_edges(run, RUNS) + part[2], text)
-    return write_local(text)
-
-
-def write_local(text: str) -> str:
-    """The page with ``local`` alone, which takes a few seconds less."""
-    return _LOCAL.sub(lambda part: part[1] + render_local(load_run(RUN)) + part[2], text)
-
-
-def write_changing_links(text: str) -> str:
-    """The page with the committed results of the mission on changing links."""
-    return _LINKS.sub(lambda part: part[1] + render_changing_links() + part[2], text)
+    return _MODEL_PART.sub(
+        lambda part: part[1] + MODEL_PARTS[part[2]](run) + part[3] if part[2] in names else part[0], text
+    )
 
 
 def render_changing_links() -> str:
@@ -168,11 +154,11 @@ def render_ages(run: ExperimentRun) -> str:
         "CPU s of all hosts",
         "MB on the air per robot",
     )
-    lines = [heading, ("---", *["---:"] * (len(heading) - 1))]
+    rows = list[tuple[str, ...]]()
     for result in summarize_trials(run):
         trials = [trial for trial in run.trials if trial.scheme == result.scheme.name]
-        lines.append((result.scheme.name, *_list_cells(result, trials)))
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+        rows.append((result.scheme.name, *_list_cells(result, trials)))
+    return render_table(heading, rows)
 
 
 def _list_cells(result: SchemeResult, trials: Sequence[Trial]) -> list[str]:
@@ -240,6 +226,13 @@ def render_hypotheses(run: ExperimentRun) -> str:
     return "".join(("| | outcome |\n", "|---|---|\n", *lines))
 
 
+MODEL_PARTS: Mapping[str, Callable[[ExperimentRun], str]] = {
+    "recoveries": lambda run: render_recoveries(run, RUNS),
+    "pictures": lambda run: render_pictures(run, RUNS),
+    "edges": lambda run: render_edges(run, RUNS),
+    "local": render_local,
+    "changing links": lambda _run: render_changing_links(),
+}
 PARTS: Mapping[str, Callable[[ExperimentRun], str]] = {
     "hypotheses": render_hypotheses,
     "ages": render_ages,
@@ -297,7 +290,7 @@ def write_page(page: Path, run: Path, figures: Path) -> None:
     """Draw the figures of the run, then write the parts and the outputs of the page."""
     with tempfile.TemporaryDirectory(prefix="edgectl-evaluation-") as directory:
         draw_figures(run, figures, Path(directory))
-        text = write_changing_links(write_deviations(write_model(write_parts(page.read_text(), run))))
+        text = write_model_parts(write_model(write_parts(page.read_text(), run)), *MODEL_PARTS)
         page.write_text(write_exact_blocks(text, Path(directory) / "state"))
 
 

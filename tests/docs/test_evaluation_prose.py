@@ -161,7 +161,7 @@ def test_sentences_about_the_paper_have_the_figures_of_its_tables() -> None:
 
 
 def test_the_mission_on_changing_links_is_a_committed_world() -> None:
-    assert evaluation.write_changing_links(TEXT) == TEXT, "make evaluation"
+    assert evaluation.write_model_parts(TEXT, "changing links") == TEXT, "make evaluation"
     times = {
         name: float(re.search(rf"\| {name} \| ([0-9.]+)", evaluation.render_changing_links())[1])  # type: ignore[index]
         for name in ("static", "utility all")

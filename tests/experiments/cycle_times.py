@@ -14,6 +14,7 @@ from typing import NamedTuple
 from edgectl.experiments.files.run_directory import load_run
 from edgectl.experiments.model.experiment import ExperimentRun, HandoffRecord, Trial
 from edgectl.model.snapshot import CapacitySource
+from tests.docs.tables import render_table
 from tests.experiments.whereabouts import RUN, TASK, list_areas
 
 PILOT = Path(__file__).parent / "lab" / "pilot"
@@ -89,13 +90,13 @@ def count_burst_readings(run: ExperimentRun, scheme: str) -> tuple[int, int]:
 
 def render_times(runs: Iterable[tuple[str, ExperimentRun]]) -> str:
     """A row for each run, as docs/evaluation.md has it: medians and, of plans, their number."""
-    heading = ("", "reading to first stop s", "end of a move to next stop s", "last end to next reading s")
-    lines = [(*heading, "plans", "reading to change of links s"), ("---", *["---:"] * 5)]
+    times_read = ("reading to first stop s", "end of a move to next stop s", "last end to next reading s")
+    heading, rows = ("", *times_read, "plans", "reading to change of links s"), list[tuple[str, ...]]()
     for name, run in runs:
         found = measure_cycles(run)
         times = [f"{median(each):.2f}" for each in (found.first, found.next, found.rest)]
-        lines.append((name, *times, str(len(found.first)), f"{median(found.change):.2f}"))
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+        rows.append((name, *times, str(len(found.first)), f"{median(found.change):.2f}"))
+    return render_table(heading, rows)
 
 
 def main(directories: list[Path]) -> None:

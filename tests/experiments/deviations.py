@@ -30,6 +30,7 @@ from edgectl.experiments.recovery import Points
 from edgectl.experiments.scheme_results import summarize_trials
 from edgectl.experiments.simulator_events import show_reading
 from edgectl.experiments.simulator_state import SimState
+from tests.docs.tables import render_table
 from tests.experiments.edge_pictures import MOVED, RATE, render_edges
 from tests.experiments.whereabouts import RUN, TASK, observe, simulate_patrol
 
@@ -207,7 +208,7 @@ def render_recoveries(run: ExperimentRun, runs: int) -> str:
     """A row for each way to count, as docs/evaluation.md has it: means, and how many were not overcome."""
     measured = [measure_recoveries(run, scheme) for scheme in MOVED]
     model = [simulate_recoveries(scheme, runs) for scheme in MOVED]
-    rows = [
+    ways = [
         ("measured", measured, True),
         ("in the model", [each.speed for each in model], True),
         ("measured, without changes at the begin", measured, False),
@@ -215,12 +216,11 @@ def render_recoveries(run: ExperimentRun, runs: int) -> str:
         ("in the model, so, by pictures/s", [each.pictures for each in model], False),
         ("in the model, so, by pictures/s that hold until the next reading", [each.readings for each in model], False),
     ]  # fmt: skip
-    lines: list[tuple[str, ...]] = [("recovery s after a change of links", *MOVED), ("---", "---:", "---:")]
-    lines += [
+    rows = [
         (name, *(_say_recovery(find_link_recovery(each, first=first)) for each in found))
-        for name, found, first in rows
+        for name, found, first in ways
     ]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    return render_table(("recovery s after a change of links", *MOVED), rows)
 
 
 def _say_recovery(found: RecoveryResult) -> str:
@@ -233,7 +233,7 @@ def render_local(run: ExperimentRun) -> str:
     """`local`, measured and in the model, and with what a picture and an idle host take in the run."""
     picture_s, idle = measure_picture_s(run), measure_idle_cores(run)
     cost, rest = f"a picture takes {1000 * picture_s:.0f} ms", f"an idle host uses {idle:.3f} cores"
-    rows = [
+    models = [
         ("measured", measure_course(run, "local")),
         ("in the model", simulate_course()),
         (f"in the model, {cost}", simulate_course(picture_s=picture_s)),
@@ -249,12 +249,12 @@ def render_local(run: ExperimentRun) -> str:
         "CPU s of a robot",
         "mission s",
     )
-    lines = [heading, ("---", *["---:"] * (len(heading) - 1))]
-    for name, found in rows:
+    rows = list[tuple[str, ...]]()
+    for name, found in models:
         begin, end, cpu_s, mission = map(fmean, (found.begin, found.end, found.cpu_s, found.mission))
         rates = [f"{fmean(each):.2f}" for each in (found.pictures, found.scans)]
-        lines.append((name, f"{begin:.1f}", f"{end:.1f}", *rates, f"{cpu_s:.1f}", f"{mission:.1f}"))
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+        rows.append((name, f"{begin:.1f}", f"{end:.1f}", *rates, f"{cpu_s:.1f}", f"{mission:.1f}"))
+    return render_table(heading, rows)
 
 
 def render_pictures(run: ExperimentRun, runs: int) -> str:
@@ -269,14 +269,14 @@ def render_pictures(run: ExperimentRun, runs: int) -> str:
         "pictures of a robot",
         "in the model",
     )
-    lines = [heading, ("---", *["---:"] * (len(heading) - 1))]
+    rows = list[tuple[str, ...]]()
     for result in summarize_trials(run):
         name, read = result.scheme.name, result.metrics["fps"]
         assert read is not None
         found = measure_course(run, name), simulate_course(name, 1 if name == "local" else runs)
         rates = [f"{fmean(each.pictures):.2f}" for each in found]
-        lines.append((name, f"{read.mean:.2f}", *rates, *(f"{fmean(each.made):.0f}" for each in found)))
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+        rows.append((name, f"{read.mean:.2f}", *rates, *(f"{fmean(each.made):.0f}" for each in found)))
+    return render_table(heading, rows)
 
 
 def measure_starts(run: ExperimentRun, scheme: str) -> list[list[float]]:
@@ -301,12 +301,12 @@ def measure_starts(run: ExperimentRun, scheme: str) -> list[list[float]]:
 def render_starts(run: ExperimentRun) -> str:
     """A row for each of two schemes: means, and their sum."""
     heading = ("s", "reading to robot", "to detection", "to follower", "to next reading", "together")
-    lines = [heading, ("---", *["---:"] * (len(heading) - 1))]
+    rows = list[tuple[str, ...]]()
     known = {trial.scheme for trial in run.trials}
     for scheme in (each for each in ("local", "static") if each in known):
         means = [fmean(each) for each in measure_starts(run, scheme)]
-        lines.append((scheme, *(f"{each:.1f}" for each in (*means, sum(means)))))
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+        rows.append((scheme, *(f"{each:.1f}" for each in (*means, sum(means)))))
+    return render_table(heading, rows)
 
 
 def main(runs: int) -> None:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from edgectl.experiments.model.experiment import ExperimentRun, PlacementInterval, Trial
 from edgectl.experiments.simulator_state import SimState
+from tests.docs.tables import render_table
 from tests.experiments.whereabouts import EDGES, TASK, observe, simulate_patrol
 
 # Pictures/s of a detection at full speed.
@@ -88,11 +89,11 @@ def _count(made: dict[str, float], late: dict[str, float], state: SimState, seco
 def render_edges(run: ExperimentRun, runs: int) -> str:
     """A row for each of the schemes that move, and each edge."""
     heading = ("edge", "pictures", "in the model", "of these after the work", "CPU s", "in the model")
-    lines = [heading, ("---", *["---:"] * (len(heading) - 1))]
+    rows = list[tuple[str, ...]]()
     for scheme in MOVED:
         real, model = measure_edges(run, scheme), simulate_edges(scheme, runs)
         for edge in EDGES:
             counts = (f"{each:.0f}" for each in (real[edge].made, model[edge].made, model[edge].late))
             seconds = (f"{each.cpu_s:.1f}" for each in (real[edge], model[edge]))
-            lines.append((f"{scheme}, {edge}", *counts, *seconds))
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+            rows.append((f"{scheme}, {edge}", *counts, *seconds))
+    return render_table(heading, rows)

@@ -75,7 +75,7 @@ def test_each_picture_of_the_run_is_of_one_edge() -> None:
 def test_local_is_as_the_page_says() -> None:
     text = evaluation.PAGE.read_text()
     assert "<!-- from the model: local -->\n|" in text
-    assert evaluation.write_local(text) == text, "make evaluation"
+    assert evaluation.write_model_parts(text, "local") == text, "make evaluation"
 
 
 def read_rows(part: str) -> dict[str, list[float]]:
@@ -129,4 +129,4 @@ def test_sentences_have_the_figures_of_the_tables() -> None:
 def test_the_tables_of_the_model_are_as_the_page_says() -> None:
     text = evaluation.PAGE.read_text()
     assert "<!-- from the model: recoveries -->\n|" in text
-    assert evaluation.write_deviations(text) == text, "make evaluation"
+    assert evaluation.write_model_parts(text, *evaluation.MODEL_PARTS) == text, "make evaluation"

@@ -26,6 +26,7 @@ from edgectl.experiments.model.scenario import Scenario, SimRun
 from edgectl.experiments.model.schemes import build_schemes
 from edgectl.experiments.simulator_state import SimState, get_link_bytes_per_s, integrate_loads
 from edgectl.model.policy import PolicyName
+from tests.docs.tables import render_table
 
 ROOT = Path(__file__).parents[2]
 RUN = ROOT / "docs" / "experiment"
@@ -174,23 +175,23 @@ def observe(note: Callable[[SimState, float], None]) -> Iterator[None]:
 def render_whereabouts(run: ExperimentRun) -> str:
     """What was measured, a row for each scheme that places on edges, as docs/evaluation.md has it."""
     heading = ("scheme", "near edge", "far edge, taken to carry them", *EDGES)
-    lines = [heading, ("---", *["---:"] * (len(heading) - 1))]
+    rows = list[tuple[str, ...]]()
     for scheme in [each.name for each in run.experiment.schemes if each.name != "local"]:
         found = measure_whereabouts(run, scheme)
-        lines.append((scheme, _say(found.near), _say(found.mistaken), *_list_hosts(found)))
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+        rows.append((scheme, _say(found.near), _say(found.mistaken), *_list_hosts(found)))
+    return render_table(heading, rows)
 
 
 def render_model(seeds: int) -> str:
     """What the model says of the same."""
-    lines = [("in the model", "near edge", *EDGES, "mission s"), ("---", *["---:"] * (len(EDGES) + 2))]
-    rows: list[tuple[str, str, Mapping[str, Any]]] = [(scheme, scheme, {}) for scheme in SCHEMES]
-    rows += [(f"least-loaded, {name}", "least-loaded", timing) for name, timing in LEFT_OUT]
-    rows.append((f"utility all, {LEFT_OUT[-1][0]}", "utility all", LEFT_OUT[-1][1]))
-    for name, scheme, timing in rows:
+    heading, rows = ("in the model", "near edge", *EDGES, "mission s"), list[tuple[str, ...]]()
+    models: list[tuple[str, str, Mapping[str, Any]]] = [(scheme, scheme, {}) for scheme in SCHEMES]
+    models += [(f"least-loaded, {name}", "least-loaded", timing) for name, timing in LEFT_OUT]
+    models.append((f"utility all, {LEFT_OUT[-1][0]}", "utility all", LEFT_OUT[-1][1]))
+    for name, scheme, timing in models:
         found = simulate_whereabouts(scheme, seeds, timing)
-        lines.append((name, _say(found.near), *_list_hosts(found), f"{found.latency:.1f}"))
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+        rows.append((name, _say(found.near), *_list_hosts(found), f"{found.latency:.1f}"))
+    return render_table(heading, rows)
 
 
 def _list_hosts(found: Whereabouts) -> list[str]:
