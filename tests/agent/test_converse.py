@@ -219,6 +219,34 @@ def test_what_came_while_it_was_frozen_is_not_begun(staying: StayingAgent) -> No
     assert os.read(staying.output, 1) == b""
 
 
+# Stops once, where an agent is between its look at the line and its read.
+FREEZING = """
+import os, signal, types
+from edgectl.agent.link import converse
+agent = converse._StayingAgent(types.SimpleNamespace(folder="", sha=""), types.SimpleNamespace(fd=1), [], None)
+agent._begin = lambda number, packet: print("begun", flush=True)
+read = os.read
+def freeze_and_read(fd, size):
+    os.read = read
+    os.kill(os.getpid(), signal.SIGSTOP)
+    return read(fd, size)
+os.read = freeze_and_read
+agent.serve()
+"""
+
+
+def test_what_came_while_it_was_frozen_before_a_read_is_not_begun() -> None:
+    command = [sys.executable, "-c", FREEZING]
+    with subprocess.Popen(command, bufsize=0, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdin is not None
+        process.stdin.write(frames.build_frame(frames.PULSE) + frames.build_frame(frames.ASK, 1, b"words\n"))
+        os.waitpid(process.pid, os.WUNTRACED)
+        time.sleep(frames.SILENCE_S + 0.2)
+        process.send_signal(signal.SIGCONT)
+        said, _ = process.communicate(timeout=DEADLINE_S)
+    assert (said, process.returncode) == (b"", 0)
+
+
 def test_pulses_keep_it(staying: StayingAgent) -> None:
     time.sleep(frames.SILENCE_S + 0.5)
     staying.ask(1, "status", task=None)
