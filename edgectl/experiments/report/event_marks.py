@@ -21,20 +21,18 @@ _LINE: dict[str, Any] = {"color": INK, "linestyle": (0, (1, 2)), "linewidth": 0.
 _SHADE: dict[str, Any] = {"color": INK, "alpha": 0.07, "linewidth": 0.0, "zorder": 0.5}
 
 
-def draw_event_marks(
-    panel: Axes, records: Iterable[EventRecord], second: float, *, of_many: bool = False
-) -> None:
-    """Lines and shades of events that were brought about; ``second``: s per unit of the axis.
-
-    ``of_many``: short lines at the top, because those of many trials would cover what they mark.
-    """
+def draw_event_marks(panel: Axes, records: Iterable[EventRecord], second: float) -> None:
+    """Lines and shades of events that were brought about; ``second``: s per unit of the axis."""
     for record in records:
-        if of_many:
-            panel.axvline(record.at / second, ymin=_SHORT_FROM, color=INK, linewidth=0.4)
-            continue
         panel.axvline(record.at / second, **_LINE)
         if record.until is not None:
             panel.axvspan(record.at / second, record.until / second, **_SHADE)
+
+
+def draw_event_ticks(panel: Axes, records: Iterable[EventRecord], second: float) -> None:
+    """Short lines at the top: those of many trials would cover the curves that they explain."""
+    for record in records:
+        panel.axvline(record.at / second, ymin=_SHORT_FROM, color=INK, linewidth=0.4)
 
 
 def draw_event_signs(panel: Axes, records: Iterable[EventRecord], second: float) -> None:

@@ -14,6 +14,7 @@ from edgectl.experiments.report.event_marks import (
     CAPTION,
     CAPTION_OF_MANY,
     draw_event_marks,
+    draw_event_ticks,
     list_event_kinds,
 )
 from edgectl.experiments.report.figure_style import (
@@ -165,12 +166,13 @@ def _draw_time_series_figure(
         len(schemes), len(heads), height=0.56, left=left, top=0.1 + 0.125 * max(lines, 2)
     )
     second, word = choose_time_unit(run)
+    draw_events = draw_event_ticks if _has_many_trials(run) else draw_event_marks
     for scheme, row in zip(schemes, axes, strict=True):
         trials = select_trials(run, scheme)
         for column, panel in zip(heads, row, strict=True):
             lines_of_trials = [series for trial in trials if (series := sorted(read(trial, column)))]
             for trial in trials:
-                draw_event_marks(panel, trial.events, second, of_many=_has_many_trials(run))
+                draw_events(panel, trial.events, second)
             _draw_series_panel(
                 panel, lines_of_trials, get_scheme_colour(run, scheme), second, run.experiment.every
             )
