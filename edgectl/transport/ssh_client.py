@@ -95,7 +95,7 @@ class BoundedTransport(paramiko.Transport):
         self._ended: set[int] = set()
 
     def open_channel(self, *args: Any, **options: Any) -> paramiko.Channel:  # noqa: ANN401 - as paramiko has it
-        """As paramiko's."""
+        """Open a channel, whose number may be that of one that has ended."""
         channel = super().open_channel(*args, **options)
         self._ended.discard(channel.remote_chanid)
         return channel

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """CPU of a watch over N hosts: ``python -m tests.benchmarks.watched_fleet [N] [SECONDS] [profilers] [loopback]``.
 
-Real SSH servers, each in a network of its own where root runs this, a fifth of them robots, and one task for every fourth host. ``edgectl watch --every 1s``
-runs as a process of its own; its CPU is that of all its threads, and a host's that of its server, the login shells
-and the agents. With ``profilers`` a profiler runs on each host; it counts as well. With ``loopback`` the hosts have
+Real SSH servers, each in a network of its own where root runs this, a fifth of them robots, and one task for each of
+these. ``edgectl watch --every 1s`` runs as a process of its own; its CPU is that of all its threads, and a host's that of
+its server, the login shells and the agents. With ``profilers`` a profiler runs on each host; it counts as well. With ``loopback`` the hosts have
 no networks of their own, so each counts the packets of all. They always share CPU, memory and the table of processes.
 """
 
