@@ -17,6 +17,9 @@ from edgectl.config.yaml_errors import explain_yaml_error
 YamlEvent: TypeAlias = Any  # the stubs do not declare the attributes of the parser's events
 MAX_VALUES = 100_000
 MAX_DEPTH = 50
+_TOO_DEEP = (f"nested more than {MAX_DEPTH} deep", "no file of edgectl needs that; check the brackets")
+# What libyaml 0.2.6 says at a thousand brackets, which it counts before it reports the first.
+_PARSER_TOO_DEEP = "maximum nesting depth"
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _KEYWORDS: dict[str, Scalar] = {
     "": None,
@@ -58,7 +61,10 @@ def parse_yaml(source: Source, problems: Problems, *, merge_keys: bool = False) 
         problems.add(stop.mark, stop.code, str(stop), stop.hint)
     except yaml.YAMLError as error:
         mark, message, hint = explain_yaml_error(source, error)
-        problems.add(mark, ProblemCode.SYNTAX, message, hint)
+        if _PARSER_TOO_DEEP in str(error):
+            problems.add(mark, ProblemCode.BUDGET, *_TOO_DEEP)
+        else:
+            problems.add(mark, ProblemCode.SYNTAX, message, hint)
     return None
 
 
@@ -114,12 +120,8 @@ class _NodeBuilder:
         if isinstance(event, yaml.AliasEvent):
             return self.alias(event, mark)
         if depth > MAX_DEPTH:
-            raise _StopError(
-                mark,
-                ProblemCode.BUDGET,
-                f"nested more than {MAX_DEPTH} deep",
-                "no file of edgectl needs that; check the brackets",
-            )
+            message, hint = _TOO_DEEP
+            raise _StopError(mark, ProblemCode.BUDGET, message, hint)
         self.spend(1, mark)
         if event.tag is not None and event.tag != "!":
             message = f"tags such as {event.tag} are not supported"
