@@ -79,7 +79,7 @@ def _replace_closed_streams() -> None:
 
 
 def _run_command(words: list[str]) -> int:
-    from edgectl.transport.deferred_imports import import_deferred
+    from edgectl.deferred_imports import import_deferred
 
     import_deferred("typer.main")
     from typer.main import get_command

@@ -5,11 +5,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, NoReturn, TypeAlias
 
-import yaml
-
 from edgectl.config.demand_readers import MEASURED_WORD
 from edgectl.config.problems import ProblemCode, Problems, Source, mark_from_span
-from edgectl.config.yaml_parser import LOADER
+from edgectl.config.yaml_library import EVENT_PARSER, yaml
 from edgectl.errors import InputError
 from edgectl.model.resource import TASK_RESOURCES
 
@@ -36,7 +34,7 @@ class YamlSpan:
 
 def parse_spans(text: str) -> YamlSpan:
     """The value of a document that was read without problems."""
-    events = yaml.parse(text, Loader=LOADER)
+    events = yaml.parse(text, Loader=EVENT_PARSER)
     next(events)
     next(events)
     return _build_span(next(events), events)

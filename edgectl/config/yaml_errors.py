@@ -3,9 +3,8 @@
 
 import re
 
-import yaml
-
 from edgectl.config.problems import Mark, Source
+from edgectl.config.yaml_library import yaml
 
 _KEY_VALUE_PATTERN = r"^\s*(?:- )?([\w.-]+): +(.*?)\s*$"
 # words of the parser -> (message, hint)

@@ -4,9 +4,9 @@
 import threading
 from collections.abc import Callable
 
+from edgectl.deferred_imports import import_deferred
 from edgectl.model.inventory import Connection, Host
 from edgectl.transport.base import Session, Transport, trace_call
-from edgectl.transport.deferred_imports import import_deferred
 
 
 class FleetTransport:

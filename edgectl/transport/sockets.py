@@ -185,10 +185,12 @@ def _resolve_addresses(address: str, port: int, timeout: float) -> list[tuple[in
         family = socket.AF_INET6 if ipaddress.ip_address(address).version == 6 else socket.AF_INET
         return [(family, socket.SOCK_STREAM, 0, "", (address, port))]
     answer: queue.SimpleQueue[object] = queue.SimpleQueue()
+    # For text Python imports the tables of international names first.
+    name = address.encode() if address.isascii() else address
 
     def ask() -> None:
         try:
-            answer.put(socket.getaddrinfo(address, port, type=socket.SOCK_STREAM))
+            answer.put(socket.getaddrinfo(name, port, type=socket.SOCK_STREAM))
         except (OSError, UnicodeError) as error:
             answer.put(error)
 

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import paramiko
-from paramiko.agent import AgentKey
 from paramiko.auth_strategy import AuthResult, AuthSource, AuthStrategy, InMemoryPrivateKey, SourceResult
 from paramiko.ssh_exception import BadAuthenticationType
 
@@ -31,7 +30,7 @@ class SshAgentClient:
     def __init__(self, path: str) -> None:
         self._path = path
 
-    def keys(self) -> list[AgentKey]:
+    def keys(self) -> list[paramiko.AgentKey]:
         """Keys in the agent, in its order. Security keys (``sk-``) are left out: paramiko cannot use them."""
         try:
             kind, answer = self._send_message(bytes([_LIST_REQUEST]))
@@ -41,7 +40,7 @@ class SshAgentClient:
             return []
         listed = [(answer.get_binary(), answer.get_binary()) for _ in range(min(answer.get_int(), 1000))]
         return [
-            AgentKey(self, blob, comment.decode(errors="replace"))  # type: ignore[arg-type]
+            paramiko.AgentKey(self, blob, comment.decode(errors="replace"))  # type: ignore[arg-type]
             for blob, comment in listed
             if b"sk-" not in blob[:12]
         ]
@@ -75,7 +74,7 @@ class Keyring:
 
     def __init__(self) -> None:
         self._files: dict[str, tuple[paramiko.PKey, ...]] = {}
-        self._agents: dict[str, list[AgentKey]] = {}
+        self._agents: dict[str, list[paramiko.AgentKey]] = {}
         self._lock = threading.Lock()
 
     def keys_for(self, resolved: ResolvedHost) -> list[paramiko.PKey]:
@@ -93,7 +92,7 @@ class Keyring:
             ]
         return [*ours, *others, *(key for key in files if key.asbytes() not in held)]
 
-    def _agent_keys(self, path: str) -> list[AgentKey]:
+    def _agent_keys(self, path: str) -> list[paramiko.AgentKey]:
         if not path:
             return []
         if path not in self._agents:
@@ -109,19 +108,34 @@ class Keyring:
 def _load_key_file(path: str, certificates: Sequence[str]) -> tuple[paramiko.PKey, ...]:
     """The key in ``path``, after its certificate if there is one; empty if missing, invalid or encrypted."""
     try:
-        key = paramiko.PKey.from_path(path)
+        key = _read_key(path)
     except Exception:  # cryptography raises half a dozen kinds; a file that is no usable key is not offered
         return ()
     if key.public_blob is not None:
-        plain = paramiko.PKey.from_path(path)
+        plain = _read_key(path)
         plain.public_blob = None
         return key, plain
     for certificate in certificates:
         with contextlib.suppress(Exception):
-            other = paramiko.PKey.from_path(path)
+            other = _read_key(path)
             other.load_certificate(certificate)
             return other, key
     return (key,)
+
+
+def _read_key(path: str) -> paramiko.PKey:
+    """The key in a file, with the certificate beside it.
+
+    The usual kind of key is read by paramiko alone, without the modules for all kinds (ADR 201).
+    """
+    try:
+        key = paramiko.Ed25519Key.from_private_key_file(path)
+    except Exception:  # of another kind, in another form, or encrypted
+        return paramiko.PKey.from_path(path)
+    certificate = Path(f"{path}-cert.pub")
+    if certificate.exists():
+        key.load_certificate(str(certificate))
+    return key
 
 
 def _load_public_blob(path: str) -> bytes | None:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import paramiko
 from paramiko.common import MSG_CHANNEL_CLOSE, MSG_CHANNEL_FAILURE, MSG_CHANNEL_WINDOW_ADJUST
 
-from edgectl.transport.deferred_imports import import_deferred
+from edgectl.deferred_imports import import_deferred
 from edgectl.transport.host_keys import HostKeyVerifier
 from edgectl.transport.known_hosts import HostKey
 from edgectl.transport.sockets import REKEY_BYTES, Line

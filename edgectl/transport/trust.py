@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from edgectl.deferred_imports import import_deferred
 from edgectl.errors import HostError
 from edgectl.model.inventory import Connection, Host
-from edgectl.transport.deferred_imports import import_deferred
 from edgectl.transport.known_hosts import HostKey, HostKeyVerdict
 
 if TYPE_CHECKING:

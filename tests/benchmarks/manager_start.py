@@ -43,13 +43,12 @@ IMPORTS = """
 import json, os, sys, time
 from importlib import import_module
 from edgectl.cli.main import _postpone_garbage_collection
-from edgectl.transport.deferred_imports import import_deferred
+from edgectl.deferred_imports import DEFERRED_MODULES, import_deferred
 _postpone_garbage_collection()
 with open(os.environ["START_REPORT"]) as report:
     names = json.load(report)["modules"]
-import_deferred("typer.main")
-if "paramiko" in names:
-    import_deferred("paramiko")
+for name in DEFERRED_MODULES.keys() & set(names):
+    import_deferred(name)
 for name in names:
     if name not in sys.modules:
         try:
