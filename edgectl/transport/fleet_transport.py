@@ -3,6 +3,7 @@
 
 import threading
 from collections.abc import Callable
+from pathlib import Path
 
 from edgectl.deferred_imports import import_deferred
 from edgectl.model.inventory import Connection, Host
@@ -15,12 +16,19 @@ class FleetTransport:
     A host whose ``transport`` names a plugin is reached by what that plugin makes.
 
     ``accept_new`` records the keys of unknown hosts. ``ask_password`` is called with a prompt, at most once
-    per host; None never asks.
+    per host; None never asks. ``config_cache``: as of `SshTransport`.
     """
 
-    def __init__(self, *, accept_new: bool = False, ask_password: Callable[[str], str] | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        accept_new: bool = False,
+        ask_password: Callable[[str], str] | None = None,
+        config_cache: Path | None = None,
+    ) -> None:
         self._accept_new = accept_new
         self._ask_password = ask_password
+        self._config_cache = config_cache
         self._made: dict[Connection | str, Transport] = {}
         self._lock = threading.Lock()
 
@@ -50,11 +58,13 @@ class FleetTransport:
         if connection is Connection.OPENSSH:
             from edgectl.transport.openssh import OpenSshTransport
 
-            return OpenSshTransport(accept_new=self._accept_new)
+            return OpenSshTransport(accept_new=self._accept_new, config_cache=self._config_cache)
         import_deferred("paramiko")
         from edgectl.transport.ssh import SshTransport
 
-        return SshTransport(accept_new=self._accept_new, ask_password=self._ask_password)
+        return SshTransport(
+            accept_new=self._accept_new, ask_password=self._ask_password, config_cache=self._config_cache
+        )
 
 
 def _make_plugin_transport(name: str) -> Transport:

@@ -54,11 +54,17 @@ class SshTransport:
 
     ``accept_new`` records the keys of unknown hosts; a changed key is refused all the same. ``ask_password``
     is called with a prompt, once per host, where keys are refused and the host allows passwords; None never
-    asks.
+    asks. ``config_cache`` is the file with what ssh_config said in earlier runs; None always asks.
     """
 
-    def __init__(self, *, accept_new: bool = False, ask_password: Callable[[str], str] | None = None) -> None:
-        self._resolver = SshConfigResolver()
+    def __init__(
+        self,
+        *,
+        accept_new: bool = False,
+        ask_password: Callable[[str], str] | None = None,
+        config_cache: Path | None = None,
+    ) -> None:
+        self._resolver = SshConfigResolver(config_cache)
         self._keyring = Keyring()
         self._host_keys = HostKeyVerifier(accept_new=accept_new)
         self._jumps = JumpHosts(self._open_jump)

@@ -15,17 +15,26 @@ import shutil
 import socket
 import subprocess
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from edgectl.dataclass import dataclass
 from edgectl.errors import ConnectError
 from edgectl.model.inventory import Host, Role
+from edgectl.transport.ssh_config_cache import SshConfigCache, Values, compute_config_digest
 
 CONFIG_OVERRIDE_VARIABLE = "EDGECTL_SSH_CONFIG"
 SYSTEM_CONFIG = Path("/etc/ssh/ssh_config")
 # A line of ssh_config that is neither blank, a comment, ``Host *``, nor a keyword without effect here.
 MEANINGFUL_LINE = re.compile(r"(?mi)^[ \t]*(?!#|$|host\s+\*\s*$|sendenv\b|hashknownhosts\b|gssapi|\s)")
+# What is used of the reply of ``ssh -G``.
+_KEYWORDS = {
+    *("hostname", "user", "port", "connecttimeout", "sendenv"),
+    *("identityfile", "certificatefile", "identitiesonly", "identityagent"),
+    *("proxyjump", "proxycommand", "hostkeyalias", "revokedhostkeys"),
+    *("userknownhostsfile", "globalknownhostsfile", "hashknownhosts"),
+}
 DEFAULT_KEYS = ("~/.ssh/id_rsa", "~/.ssh/id_ecdsa", "~/.ssh/id_ed25519")
 
 
@@ -65,6 +74,15 @@ def get_home_dir() -> str:
         return pwd.getpwuid(os.getuid()).pw_dir
     except KeyError:
         return os.environ.get("HOME", "/")
+
+
+def list_config_files() -> dict[Path, Path]:
+    """The files that ``ssh`` begins to read, there or not, each with the folder of what it includes."""
+    override = os.environ.get(CONFIG_OVERRIDE_VARIABLE)
+    user_folder = Path(get_home_dir()) / ".ssh"
+    if override:
+        return {Path(override): user_folder}
+    return {user_folder / "config": user_folder, SYSTEM_CONFIG: SYSTEM_CONFIG.parent}
 
 
 def get_user_name() -> str:
@@ -124,10 +142,14 @@ def parse_jump_host(jump: str) -> Host:
 class SshConfigResolver:
     """Resolves hosts, each once per run. Safe to use from several threads."""
 
-    def __init__(self) -> None:
+    def __init__(self, cache: Path | None = None) -> None:
+        """``cache``: the file with the replies of earlier runs; None always asks."""
         self._known: dict[tuple[object, ...], ResolvedHost] = {}
         self._lock = threading.Lock()
         self._ssh = shutil.which("ssh")
+        self._cache = (
+            SshConfigCache(cache, partial(_compute_digest, self._ssh)) if cache and self._ssh else None
+        )
 
     def resolve(self, host: Host, *, timeout: float = 10.0) -> ResolvedHost:
         """Merge inventory and ssh_config for ``host``.
@@ -140,44 +162,54 @@ class SshConfigResolver:
             if key in self._known:
                 return self._known[key]
         resolved = _merge_host_config(
-            host, self._ask(host, timeout) if self._ssh else _build_config_without_ssh(host)
+            host, self._get_values(host, timeout) if self._ssh else _build_config_without_ssh(host)
         )
         with self._lock:
             self._known[key] = resolved
         return resolved
 
-    def _ask(self, host: Host, timeout: float) -> Mapping[str, list[str]]:
-        command = [self._ssh or "ssh", *build_ssh_options(host), "-G", "--", host.host]
-        try:
-            asked = subprocess.run(
-                command, stdin=subprocess.DEVNULL, capture_output=True, timeout=timeout, check=False
-            )
-        except subprocess.TimeoutExpired as error:
-            raise ConnectError(
-                f"ssh -G {host.host} did not end within {timeout:g} s",
-                hint="a Match exec in ssh_config hangs",
-                host=host.name,
-            ) from error
-        if asked.returncode != 0:
-            lines = [
-                line
-                for line in asked.stderr.decode(errors="replace").splitlines()
-                if not line.startswith("Pseudo-terminal")
-            ]
-            raise ConnectError(
-                f"ssh_config: {lines[0] if lines else 'refused'}",
-                hint=f"try: ssh -G {host.host}",
-                host=host.name,
-            )
-        return parse_ssh_config(asked.stdout.decode(errors="replace"))
+    def _get_values(self, host: Host, timeout: float) -> Values:
+        arguments = [*build_ssh_options(host), "-G", "--", host.host]
+        ask = partial(_ask_ssh, [self._ssh or "ssh", *arguments], host, timeout)
+        return ask() if self._cache is None else self._cache.get(arguments, ask)
+
+
+def _compute_digest(ssh: str) -> str | None:
+    return compute_config_digest(ssh, list_config_files(), Path(get_home_dir()))
+
+
+def _ask_ssh(command: Sequence[str], host: Host, timeout: float) -> dict[str, list[str]]:
+    try:
+        asked = subprocess.run(
+            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=timeout, check=False
+        )
+    except subprocess.TimeoutExpired as error:
+        raise ConnectError(
+            f"ssh -G {host.host} did not end within {timeout:g} s",
+            hint="a Match exec in ssh_config hangs",
+            host=host.name,
+        ) from error
+    if asked.returncode != 0:
+        lines = [
+            line
+            for line in asked.stderr.decode(errors="replace").splitlines()
+            if not line.startswith("Pseudo-terminal")
+        ]
+        raise ConnectError(
+            f"ssh_config: {lines[0] if lines else 'refused'}",
+            hint=f"try: ssh -G {host.host}",
+            host=host.name,
+        )
+    return parse_ssh_config(asked.stdout.decode(errors="replace"))
 
 
 def parse_ssh_config(text: str) -> dict[str, list[str]]:
-    """Output of ``ssh -G``: keyword to its values, in order."""
+    """Of the output of ``ssh -G`` what is used: keyword to its values, in order."""
     values: dict[str, list[str]] = {}
     for line in text.splitlines():
         keyword, _, value = line.partition(" ")
-        values.setdefault(keyword.lower(), []).append(value)
+        if keyword.lower() in _KEYWORDS:
+            values.setdefault(keyword.lower(), []).append(value)
     return values
 
 
@@ -187,8 +219,7 @@ def _build_config_without_ssh(host: Host) -> dict[str, list[str]]:
     Raises:
         ConnectError: such an ssh_config exists.
     """
-    override = os.environ.get(CONFIG_OVERRIDE_VARIABLE)
-    for path in [Path(override)] if override else [Path(get_home_dir()) / ".ssh/config", SYSTEM_CONFIG]:
+    for path in list_config_files():
         if path.exists() and re.search(MEANINGFUL_LINE, path.read_text(errors="replace")):
             raise ConnectError(
                 f"{path} cannot be understood without the ssh program",

@@ -31,7 +31,9 @@ def open_fleet(
     from edgectl.transport.agent_client import use_cache_key
     from edgectl.transport.fleet_transport import FleetTransport
 
-    transport = FleetTransport(accept_new=accept_new, ask_password=ask_password)
+    transport = FleetTransport(
+        accept_new=accept_new, ask_password=ask_password, config_cache=state / "ssh-config.json"
+    )
     with contextlib.suppress(StateError):  # doctor says what is wrong with the directory
         use_cache_key(inventory.fleet, load_cache_key(state))
     return Fleet(

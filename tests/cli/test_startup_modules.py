@@ -165,12 +165,16 @@ def test_a_command_imports_and_compiles_no_more_than(
 def test_a_command_asks_each_host_once(
     fleet: tuple[Path, dict[str, str]], words: tuple[str, ...], wanted: list[str]
 ) -> None:
-    """Over one connection, and with one process per name: ssh says what its configuration makes of host and robot.
-    Logs need no robot.
-    """
+    """Over one connection, and without a process: what ssh makes of its configuration is known since the first probe."""
     if words[0] == "logs":
         start(*fleet, "apply", "-y", "--best-effort")
     seen = start(*fleet, *words)
     assert seen.requests == wanted
-    names = 1 if words[0] == "logs" else 2
-    assert (seen.connections, seen.processes) == ((1, names) if wanted else (0, 0))
+    assert (seen.connections, seen.processes) == ((1, 0) if wanted else (0, 0))
+
+
+def test_ssh_is_asked_for_its_configuration_once(fleet: tuple[Path, dict[str, str]], tmp_path: Path) -> None:
+    """In the first run that needs it: once for the host, once for the robot."""
+    folder, env = fleet
+    own = {**env, "EDGECTL_STATE_DIR": str(tmp_path / "state")}
+    assert [start(folder, own, "probe", "--window", "0").processes for _ in range(2)] == [2, 0]
