@@ -44,8 +44,8 @@ def converse(channel: Channel, bases: "List[str]", serve: "Serve") -> "NoReturn"
     if FINGERPRINT not in importer.bundle:
         importer.read_sources()
         cache.write_bundle(importer, protocol.OP_CONVERSE)
-        # A megabyte that every supervisor would inherit; who needs it reads it again.
-        importer.agent, importer.sources = b"", {}
+        # Megabytes that every supervisor would inherit; who needs them reads them again.
+        importer.agent, importer.sources, importer.spare = b"", {}, {}
     staying = _StayingAgent(importer, channel, bases, serve)
     channel.reply(dumps({"op": protocol.OP_CONVERSE}).encode("ascii"))
     # The deadline was that of the beginning.
