@@ -3,6 +3,7 @@
 
 import contextlib
 import os
+import select
 import shutil
 import socket
 import subprocess
@@ -16,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from edgectl.agent.measure import device, network, proc
+from edgectl.agent.measure import device, network, proc, sockets
 from edgectl.agent.measure.task import TaskProcesses, collect_cpu_s
 from edgectl.errors import RefusedError
 from tests.agent.conftest import AgentHost, eventually
@@ -96,16 +97,52 @@ def test_connection_that_appears_in_the_window_counts_in_full() -> None:
 
 
 def test_connections_that_end_in_the_window_count_up_to_their_end() -> None:
-    with connected() as (near, far):
-        traffic = network.TrafficMeter({"robot1": [ROBOT]})
+    # A separate address, and no fixed time: the kernel reports closed connections with a delay, a busy one with a long one.
+    robot, found = f"{NET}.32", list[int]()
+    with connected(robot) as (near, far):
+        traffic = network.TrafficMeter({"robot1": [robot]})
         sent(near, far, 60_000)
-    with connected() as (near, far):
+    with connected(robot) as (near, far):
         sent(near, far, 90_000)
-    time.sleep(0.2)
+
+    def have_ended() -> bool:
+        # The kernel counts opening and closing as one acknowledged byte each.
+        found.extend(flow.tx // 1000 for flow in traffic.flows() if flow.remote == robot and flow.tx > 10)
+        return len(found) >= 2
+
     with contextlib.closing(traffic):
-        flows = [flow for flow in traffic.flows() if flow.remote == ROBOT]
-    # The kernel counts opening and closing as one acknowledged byte each.
-    assert sorted(flow.tx // 1000 for flow in flows) == [60, 90]
+        eventually(have_ended)
+        time.sleep(0.1)
+        have_ended()
+    assert sorted(found) == [60, 90]
+
+
+def test_a_connection_that_ends_while_connections_are_listed_counts_once() -> None:
+    """The kernel says so after the closed ones were collected, so the listing lacks it and the report is late."""
+    robot = f"{NET}.33"
+    with connected(robot) as (near, far):
+        sent(near, far, 60_000)
+        with contextlib.closing(network.TrafficMeter({"robot1": [robot]})) as traffic:
+            collect = traffic._closed.collect
+
+            def collect_and_close() -> list[sockets.TcpConnection]:
+                found = collect()
+                near.close()
+                far.close()
+                eventually(lambda: not sockets.list_connections({sockets.pack_address(robot)}))
+                return found
+
+            traffic._closed.collect = collect_and_close  # type: ignore[method-assign]
+            assert [flow for flow in traffic.flows() if flow.remote == robot] == []
+            traffic._closed.collect = collect  # type: ignore[method-assign]
+            link = traffic._closed._link
+            assert link is not None
+            assert select.select([link], [], [], patience(30.0))[0], "the kernel did not report it"
+            late = [flow.tx for flow in traffic.flows() if flow.remote == robot]
+            # Its end alone, as one byte.
+            assert len(late) == 1
+            assert late[0] <= 1
+            assert [flow for flow in traffic.flows() if flow.remote == robot] == []
 
 
 def test_traffic_inside_the_host_does_not_count() -> None:

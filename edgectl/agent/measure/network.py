@@ -66,6 +66,7 @@ class TrafficMeter:
         """``addresses``: addresses by robot; other connections inside this host do not count."""
         self._wanted = _pack_addresses(addresses)
         self._closed = sockets.CloseListener(self._wanted)
+        self._gone: "dict[bytes, sockets.TcpConnection]" = {}
         self._listed, self._before = self._list_connections()
         self.seconds = 0.0
         # Connections closed during that listing were closed before the window.
@@ -74,13 +75,16 @@ class TrafficMeter:
     def flows(self) -> "list[Flow]":
         """Measure: a connection that appeared in the window counts in full.
 
-        One that was closed counts up to its end.
+        One that was closed counts up to its end; where the kernel says so late, in the next measurement.
         """
         found = {each.key: each for each in self._closed.collect()}
-        then, since = self._before, self._listed
+        then, since = self._gone.copy(), self._listed
+        then.update(self._before)
         self._listed, self._before = self._list_connections()
         self.seconds = max(1e-3, self._listed - since)
         found.update(self._before)
+        # Closed since the closed ones were collected: without this, all of its bytes would count once more.
+        self._gone = {key: each for key, each in then.items() if key not in found and key not in self._gone}
         return [_build_flow(each, then.get(key)) for key, each in found.items()]
 
     def _list_connections(self) -> "tuple[float, dict[bytes, sockets.TcpConnection]]":
