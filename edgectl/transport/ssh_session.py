@@ -333,9 +333,9 @@ def _start_command(channel: paramiko.Channel, command: str, stdin: bytes, second
 
 
 def _send_command(channel: paramiko.Channel, command: str) -> None:
-    """Ask the server to run ``command``, and go on: its input need not wait until the server agrees, which
-    saves a way there and back.
+    """Ask the server to run ``command``, and go on: its input need not wait until the server agrees.
 
+    That saves a way there and back where the window of a new channel is open; OpenSSH opens it as it agrees.
     A server that refuses closes the channel (`SshSession.check`). A paramiko without this method to wait
     waits.
     """

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The requests of an apply over warm connections, by count: those to one host share one agent and travel together."""
 
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,12 +14,18 @@ from edgectl.agent.link import frames
 from edgectl.model.check import Check
 from edgectl.model.inventory import Connection, Host, Inventory
 from edgectl.model.plan import Action
+from edgectl.model.progress import ProgressEvent, ProgressStage
+from edgectl.model.result import Phase
 from edgectl.model.task import Task
+from edgectl.transport import conversation
 from edgectl.transport.base import OpenExchange, Reply, Session
 from edgectl.transport.fake import unpack_request
 from edgectl.transport.fleet_transport import FleetTransport
+from edgectl.usecases.apply import ApplyOptions, plan_and_apply
 from tests.builders import a_task, an_inventory
-from tests.e2e.bench import GENTLE, Bench, a_local, a_slice, open_bench
+from tests.e2e.bench import EAGER, GENTLE, QUICK, Bench, a_local, a_slice, open_bench
+from tests.faults.link_fault import LinkFault, LinkFaultKind
+from tests.faults.relay import Relay
 from tests.pace import patience
 from tests.sshd import Lab
 
@@ -128,6 +135,54 @@ def test_ten_starts_on_three_hosts(lab: Lab, tmp_path: Path, connection: Connect
             here = len([each for each in range(COUNT, 0, -1) if each % len(HOSTS) == number])
             assert recording.count(host)["frame", "stop"] == here
             assert recording.count(host)["call", "stop"] == 0
+
+
+# There and back: so much that all else is a small part of it.
+ROUND_TRIP_S = patience(0.9)
+
+
+def test_ten_starts_cross_a_far_line_six_times(
+    lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the plan to the last ready: three times until the agent stays, and once each to look, to start and to wait.
+
+    Were only two of the four requests to one host sent one after the other, it were seven.
+    """
+    monkeypatch.setattr(conversation, "PATIENCE_S", patience(30.0))
+    with ExitStack() as stack:
+        edges = []
+        for name, at in zip(HOSTS, ("edge2", "edge1", "robot1"), strict=True):
+            server = lab[at]
+            relay = Relay((server.address, server.port))
+            relay.start()
+            stack.callback(relay.stop)
+            lab.known_hosts.write_text(
+                lab.known_hosts.read_text() + f"[{relay.address}]:{relay.port} {server.key}\n"
+            )
+            edges.append((relay, a_slice(lab.host(name, host=relay.address, port=relay.port))))
+        stack.callback(lab.write_files)
+        bench, _ = stack.enter_context(
+            recorded_bench(an_inventory(*(edge for _, edge in edges)), tmp_path, lab)
+        )
+        moments: list[float] = []
+
+        def confirm(_plan: object) -> bool:
+            for relay, _ in edges:
+                relay.set(LinkFault(kind=LinkFaultKind.DELAY, seconds=ROUND_TRIP_S / 2))
+            moments.append(time.monotonic())
+            return True
+
+        def note(event: ProgressEvent) -> None:
+            if event.stage is ProgressStage.PHASE_END and event.phase is Phase.READY:
+                moments.append(time.monotonic())
+
+        applied = plan_and_apply(bench.fleet, EAGER, confirm, ApplyOptions(probe=QUICK, progress=note))
+        for relay, _ in edges:
+            relay.heal()
+        assert applied.results is not None
+        assert applied.results.done, applied.results
+        assert len(moments) == 1 + COUNT
+        assert int((moments[-1] - moments[0]) / ROUND_TRIP_S) == 6
 
 
 def test_an_apply_that_changes_nothing_begins_no_conversation(lab: Lab, tmp_path: Path) -> None:

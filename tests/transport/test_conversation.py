@@ -48,21 +48,32 @@ ENDLESS: dict[str, Any] = {"task": "slam", "instance": "i1", "timeout_s": 600.0,
 
 
 class CountingTransport:
-    """Real sessions; ``calls``: (host, operation) of each request that had a call of its own."""
+    """Real sessions; ``calls``: (host, operation) of each request that had a call of its own; ``logins``, ``agents``: host
+    of each session, and of each agent that was to stay.
+    """
 
     def __init__(self) -> None:
         self.calls: list[tuple[str, str]] = []
+        self.logins: list[str] = []
+        self.agents: list[str] = []
         self._within = FleetTransport()
 
     def connect(self, host: Host, *, timeout: float) -> Session:
         session = self._within.connect(host, timeout=timeout)
-        run = session.run
+        run, converse = session.run, session.converse  # type: ignore[attr-defined]
+        self.logins.append(host.name)
 
         def run_counted(command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
             self.calls.append((host.name, str(unpack_request(stdin)[1]["op"])))
             return run(command, stdin, timeout=timeout, limit=limit)
 
+        def converse_counted(*given: Any, **options: Any) -> OpenExchange:
+            self.agents.append(host.name)
+            exchange: OpenExchange = converse(*given, **options)
+            return exchange
+
         session.run = run_counted  # type: ignore[method-assign]
+        session.converse = converse_counted  # type: ignore[attr-defined]
         return session
 
     def address(self, host: Host) -> str:
@@ -357,6 +368,11 @@ def test_what_asks_again_and_again_converses(
             if len(transport.calls) == before:
                 break
         assert len(transport.calls) == before, "each round has calls"
+        for _ in range(20):
+            next(rounds)
+        # One agent for as long as the connection lives: no other login, agent or call.
+        assert len(transport.calls) == before
+        assert sorted(transport.agents) == sorted(transport.logins) == ["edge1", "edge2", "edge3"]
     until(lambda: not list_agents(tmp_path))
 
 

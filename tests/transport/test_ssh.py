@@ -132,7 +132,7 @@ def test_large_stderr_does_not_block(lab: Lab, transport: Transport, connection:
 def test_the_input_does_not_wait_until_the_server_agrees(
     lab: Lab, transport: Transport, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A command and its input travel together: one way there and back less for each request."""
+    """A command and its input travel together as far as the server has room for it (`test_wire.py`)."""
     agreed, sent = threading.Event(), paramiko.Channel.sendall
     succeed = paramiko.Channel._request_success  # type: ignore[attr-defined]
 
