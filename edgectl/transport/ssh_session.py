@@ -5,6 +5,7 @@ Fabric's ``Connection.run`` is not used: it polls, it decodes, and it does not e
 """
 
 import contextlib
+import math
 import socket
 import threading
 import time
@@ -21,6 +22,9 @@ from edgectl.transport.ssh_errors import translate_ssh_error
 # A connection that does not even let a channel be closed is cut this long after the deadline, seconds.
 GRACE_S = 0.5
 CHANNEL_PAUSES_S = (0.02, 0.05, 0.1, 0.3, 1.0)
+# Between two attempts while another call of this connection has a channel, unless it ends before; and before
+# the deadline, so that the refusal is told, seconds.
+_BUSY_PAUSE_S, _TO_TELL_S = 1.0, 0.1
 _CHUNK_BYTES = 65536
 _LOST_HINT = "try again; the host may have restarted"
 # More than a pulse has.
@@ -47,6 +51,8 @@ class SshSession:
         self._after = after
         self._give_way: Callable[[], None] | None = None
         self._lock = threading.Lock()
+        # Calls that have a channel now; a host may have room for one.
+        self._calls, self._call_ended = 0, threading.Condition()
 
     @property
     def python(self) -> str:
@@ -95,13 +101,14 @@ class SshSession:
     ) -> "SshExchange":
         """Keep ``command`` running beside the others (see `ConversableSession.converse`)."""
         deadline = time.monotonic() + timeout
-        self._give_way = give_way
         stack = contextlib.ExitStack()
         with stack, self.translate_errors(timeout):
             # Only its first word; after that each request grants what it may bring.
             self.allowance.renew(MAX_LOGIN_BYTES)
             with watchdog(timeout + GRACE_S, self.cut):
-                channel = stack.enter_context(contextlib.closing(self._open_once(deadline, None)))
+                # Where there is room for one channel, calls have it until they end.
+                channel = stack.enter_context(contextlib.closing(self._open(deadline)))
+                self._give_way = give_way
                 _start_exchange(channel, command, stdin, timeout)
             return SshExchange(self, channel, stack.pop_all())
 
@@ -164,7 +171,7 @@ class SshSession:
         seconds = deadline - time.monotonic()
         with self.translate_errors(seconds), watchdog(seconds + GRACE_S, self.cut) as watch:
             try:
-                with contextlib.closing(self._open(deadline, window)) as channel:
+                with contextlib.closing(self._open(deadline, window)) as channel, self._counting_call():
                     _start_command(channel, command, stdin, seconds)
                     yield channel
                     self.check(channel)
@@ -179,21 +186,42 @@ class SshSession:
                 raise
 
     def _open(self, deadline: float, window: int | None = None) -> paramiko.Channel:
-        """A new channel. sshd allows ten (MaxSessions); a closed one counts until sshd has noticed.
+        """A new channel. sshd allows ten (MaxSessions) or fewer; a closed one counts until sshd has noticed.
 
         ``window``: how many bytes may come that nobody has read; None: 2 MiB.
         """
-        for pause in CHANNEL_PAUSES_S:
+        pauses = iter(CHANNEL_PAUSES_S)
+        while True:
             try:
                 return self._open_once(deadline, window)
             except paramiko.SSHException:
                 # Not only ChannelException: of two threads refused at once, paramiko gives the reason to one.
+                pause = self._await_call_end(deadline) or next(pauses, math.inf)
                 if not self.transport.is_active() or time.monotonic() + pause >= deadline:
                     raise
                 if self._give_way is not None:
                     self._give_way()
                 time.sleep(pause)
-        return self._open_once(deadline, window)
+
+    def _await_call_end(self, deadline: float) -> float:
+        """Wait until a call ends that has a channel; the seconds to wait besides, 0 where none has one."""
+        with self._call_ended:
+            if not self._calls:
+                return 0.0
+            left = deadline - time.monotonic() - _TO_TELL_S
+            ended = self._call_ended.wait(max(0.0, min(_BUSY_PAUSE_S, left)))
+        return CHANNEL_PAUSES_S[0] if ended else _TO_TELL_S
+
+    @contextlib.contextmanager
+    def _counting_call(self) -> Iterator[None]:
+        with self._call_ended:
+            self._calls += 1
+        try:
+            yield
+        finally:
+            with self._call_ended:
+                self._calls -= 1
+                self._call_ended.notify_all()
 
     def _open_once(self, deadline: float, window: int | None) -> paramiko.Channel:
         if not self.transport.is_active():

@@ -27,7 +27,7 @@ from tests.e2e.bench import EAGER, GENTLE, QUICK, Bench, a_local, a_slice, open_
 from tests.faults.link_fault import LinkFault, LinkFaultKind
 from tests.faults.relay import Relay
 from tests.pace import patience
-from tests.sshd import Lab
+from tests.sshd import Lab, running_lab
 
 HOSTS = ("edge3", "edge2", "edge1")
 COUNT = 10
@@ -135,6 +135,21 @@ def test_ten_starts_on_three_hosts(lab: Lab, tmp_path: Path, connection: Connect
             here = len([each for each in range(COUNT, 0, -1) if each % len(HOSTS) == number])
             assert recording.count(host)["frame", "stop"] == here
             assert recording.count(host)["call", "stop"] == 0
+
+
+def test_ten_starts_on_hosts_with_room_for_one_channel(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The agent that stays has the channel and carries all; nothing is refused, however long tasks take to be ready."""
+    with running_lab(tmp_path / "lab", ("edge2", "edge1", "edge3"), extra=["MaxSessions 1"]) as lab:
+        monkeypatch.setenv("EDGECTL_SSH_CONFIG", str(lab.ssh_config))
+        edges = [a_slice(lab.host(name)) for name in HOSTS]
+        with recorded_bench(an_inventory(*edges), tmp_path, lab) as (bench, recording):
+            slow = bench.using(*(replace(task, ready=None, up=2.0) for task in build_tasks(tmp_path)))
+            assert slow.apply().plan.summary == {Action.START: COUNT}
+            for host in HOSTS:
+                assert recording.count(host)["call", "start"] == recording.count(host)["call", "wait"] == 0
+            slow.stop()
 
 
 # There and back: so much that all else is a small part of it.

@@ -55,6 +55,12 @@ def main() -> int:
         "--connection", choices=["ssh", "openssh"], default="ssh", help="connection of edgectl to the hosts"
     )
     parser.add_argument(
+        "--one-channel",
+        action="store_true",
+        default=None,
+        help="hosts that allow one channel per connection, MaxSessions 1 (default: for one seed in five)",
+    )
+    parser.add_argument(
         "--swarm", action="store_true", help="containers are services of a Docker Swarm of the hosts"
     )
     parser.add_argument(
@@ -139,6 +145,7 @@ def run_case(case: Case, options: argparse.Namespace, until: float) -> FaultRow:
             sample=options.quick,
             points=1 if options.quick else options.points,
             swarm=options.swarm,
+            one_channel=options.one_channel,
         ),
         exactly=options.injection,
         skip=injection_record.count_seeds(read_recorded(options), case, options.seed),

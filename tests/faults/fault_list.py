@@ -2,6 +2,7 @@
 """All faults, in the order of the table."""
 
 from tests.faults import (
+    faults_agent,
     faults_engine,
     faults_etcd,
     faults_etcd_members,
@@ -27,6 +28,7 @@ MODULES = (
     faults_host,
     faults_inventory,
     faults_link,
+    faults_agent,
     faults_manager,
     faults_two_managers,
     faults_etcd,

@@ -65,6 +65,7 @@ class EdgectlVariant:
     ``code``: directory of another edgectl package; ``connection``: how it reaches the hosts; ``sample``: one round
     of a fault that has several; ``points``: kill at so many random failpoints of a command (None: at all of them; below
     0: at so many of the last). ``swarm``: where tasks run in containers, these are services of a Docker Swarm.
+    ``one_channel``: the hosts allow one channel per connection (None: those of one seed in five).
     """
 
     code: Path | None = None
@@ -72,6 +73,7 @@ class EdgectlVariant:
     sample: bool = False
     points: int | None = None
     swarm: bool = False
+    one_channel: bool | None = None
 
 
 @dataclass(kw_only=True)
@@ -496,6 +498,11 @@ def repair_fleet(fleet: FaultFleet) -> None:
         await_nodes(fleet)
 
 
+def draw_one_channel(seed: int) -> bool:
+    """Draw whether the hosts allow one channel per connection."""
+    return random.Random(f"channels {seed}").random() < 1 / 5
+
+
 @contextmanager
 def open_fleet(
     kind: str,
@@ -538,6 +545,9 @@ def open_fleet(
             points=variant.points,
             swarm=variant.swarm,
         )
+        if draw_one_channel(seed) if variant.one_channel is None else variant.one_channel:
+            for host in hosts.values():
+                host.set_server_options("MaxSessions 1")
         if variant.swarm:
             form_swarm(fleet)
         stack.callback(lambda: scan.kill_processes(scan.list_marked_processes(fleet.mark)))

@@ -53,6 +53,7 @@ class Host(Protocol):
     def run(self, *command: str) -> "subprocess.CompletedProcess[str]": ...
     def start_bystander(self, name: str, *words: str, pid: int = 0) -> Bystander: ...
     def set_env(self, **env: str) -> None: ...
+    def set_server_options(self, *lines: str) -> None: ...
     def change_key(self) -> None: ...
     def allow_logins(self, *, allowed: bool) -> None: ...
     def close(self) -> None: ...
@@ -84,6 +85,7 @@ class LoopbackHost:
     name: str
     lab: sshd.Lab
     env: dict[str, str] = field(default_factory=dict)
+    options: tuple[str, ...] = ()
     bystanders: list["subprocess.Popen[bytes]"] = field(default_factory=list)
     kind: str = "loopback"
     can: frozenset[str] = frozenset()
@@ -134,6 +136,11 @@ class LoopbackHost:
         self.env = env
         self._configure()
 
+    def set_server_options(self, *lines: str) -> None:
+        """Add lines to the configuration of sshd, for connections from now on."""
+        self.options = lines
+        self._configure()
+
     def _configure(self, *extra: str) -> None:
         standard = {
             "HOME": str(self.home),
@@ -141,7 +148,9 @@ class LoopbackHost:
             sshd.MARK: str(self.server.directory),
             "PATH": sshd.PATH,
         }
-        self.server.configure(env=standard | self.env, authorized=self.lab.authorized_keys, extra=extra)
+        self.server.configure(
+            env=standard | self.env, authorized=self.lab.authorized_keys, extra=(*extra, *self.options)
+        )
         self._hang_up()
         self.server.wait()
 

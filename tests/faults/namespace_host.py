@@ -110,6 +110,7 @@ class NamespaceHost:
     live_restore: bool = True
     shared: Mapping[str, Path] = field(default_factory=dict)
     env: dict[str, str] = field(default_factory=dict)
+    options: tuple[str, ...] = ()
     kind: str = "namespace"
     can: frozenset[str] = frozenset({POWER, CABLE, REBOOT, DISK, MOUNTS, PYTHON})
     pid: int = 0
@@ -170,6 +171,7 @@ class NamespaceHost:
 
     def _write_sshd_config(self) -> None:
         lines = [
+            *self.options,
             *sshd.no_penalty_options(),
             "Port 22",
             "HostKey /etc/ssh/edgectl-faults/host_key",
@@ -356,6 +358,12 @@ class NamespaceHost:
 
     def set_env(self, **env: str) -> None:
         self.env = env
+        self._write_sshd_config()
+        self.restart_sshd()
+
+    def set_server_options(self, *lines: str) -> None:
+        """Add lines to the configuration of sshd, for connections from now on."""
+        self.options = lines
         self._write_sshd_config()
         self.restart_sshd()
 

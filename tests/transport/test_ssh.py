@@ -149,6 +149,26 @@ def test_the_input_does_not_wait_until_the_server_agrees(
     assert run_command(transport, lab.host("edge1"), "cat", b"the input").stdout == b"the input"
 
 
+def test_calls_wait_for_each_other_where_there_is_room_for_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As long as their deadlines allow, and no longer; the refusal says why."""
+    with running_lab(tmp_path / "lab", ["edge1"], extra=["MaxSessions 1"]) as one:
+        monkeypatch.setenv("EDGECTL_SSH_CONFIG", str(one.ssh_config))
+        with (
+            FleetTransport().connect(one.host("edge1"), timeout=BUSY_S) as session,
+            ThreadPoolExecutor(5) as pool,
+        ):
+            # Longer than all pauses between the attempts of one call.
+            asked = [pool.submit(session.run, f"sleep 1; echo {n}", b"", timeout=BUSY_S) for n in range(4)]
+            assert [each.result().stdout for each in asked] == [b"%d\n" % n for n in range(4)]
+            long = pool.submit(session.run, "sleep 4; echo long", b"", timeout=BUSY_S)
+            time.sleep(1.0)
+            with pytest.raises(ConnectError, match="refused to open a channel"):
+                session.run("echo short", b"", timeout=1.5)
+            assert long.result().stdout == b"long\n"
+
+
 def test_output_is_capped(lab: Lab, transport: Transport, connection: Connection) -> None:
     with pytest.raises(ReplyError, match="more than 1048576 bytes"):
         run_command(
