@@ -96,6 +96,8 @@ def cut_link_of_watch(fleet: FaultFleet) -> None:
     """The host hears nothing of the end of the line. Its task goes on, and the other hosts are watched."""
     start_tasks(fleet)
     computer = fleet.get_computer(fleet.random.choice(fleet.edges[:3]))
+    # With room for one channel no agent stays.
+    computer.set_server_options()
     running = fleet.start_edgectl("watch", "--every", "1s")
     agent, *children = await_staying_agent(computer)
     fleet.random.choice([computer.drop_packets, computer.unplug_cable])()

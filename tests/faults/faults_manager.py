@@ -17,7 +17,7 @@ from tests.faults.faults_host import start_tasks
 from tests.faults.faults_link import prepare_changes
 from tests.faults.fleet import APPLY, FaultFleet
 from tests.faults.registry import fault
-from tests.faults.synced_disk import restore_synced_files
+from tests.faults.synced_disk import record_all, restore_synced_files
 from tests.pace import patience
 
 SKEW = Path(__file__).with_name("skew.c")
@@ -92,7 +92,10 @@ def cut_power_after_done(fleet: FaultFleet) -> None:
 @fault("manager loses power at a random moment", full=8)
 def cut_power_at_random(fleet: FaultFleet) -> None:
     prepare_changes(fleet)
-    running = fleet.start_edgectl(*APPLY, **build_synced_disk_env(fleet))
+    env = build_synced_disk_env(fleet)
+    # What the apply before has left was written seconds ago by a process without this disk.
+    record_all(fleet.directory / "synced-disk" / "shadow", fleet.state)
+    running = fleet.start_edgectl(*APPLY, **env)
     fleet.wait(fleet.random.uniform(0.5, 2.6))
     kill_manager(running)
     restore_synced_files(fleet.directory / "synced-disk" / "shadow", fleet.state)

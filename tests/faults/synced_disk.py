@@ -21,17 +21,24 @@ def record_fsync(descriptor: int) -> None:
     original_fsync(descriptor)
     path = str(Path(f"/proc/self/fd/{descriptor}").readlink())
     if path.startswith(WATCHED):
-        _record_synced(Path(path), os.fstat(descriptor).st_ino)
+        _record_synced(Path(path), os.fstat(descriptor).st_ino, Path(SHADOW))
 
 
-def _record_synced(path: Path, inode: int) -> None:
+def record_all(shadow: Path, root: Path) -> None:
+    """Record that what is below ``root`` now has been on the disk for long."""
+    for path in (root, *root.rglob("*")):
+        if path.is_dir() or path.is_file():
+            _record_synced(path, path.stat().st_ino, shadow)
+
+
+def _record_synced(path: Path, inode: int, shadow: Path) -> None:
     now = time.monotonic_ns()
     if path.is_dir():
         names = {each.name: each.stat().st_ino for each in path.iterdir() if each.is_file()}
-        _replace_file(Path(SHADOW) / f"{inode}.dir", json.dumps([now, str(path), names]).encode())
+        _replace_file(shadow / f"{inode}.dir", json.dumps([now, str(path), names]).encode())
     else:
-        _replace_file(Path(SHADOW) / f"{inode}.file", path.read_bytes())
-        _replace_file(Path(SHADOW) / f"{inode}.name", json.dumps([now, str(path)]).encode())
+        _replace_file(shadow / f"{inode}.file", path.read_bytes())
+        _replace_file(shadow / f"{inode}.name", json.dumps([now, str(path)]).encode())
 
 
 def _replace_file(path: Path, data: bytes) -> None:
