@@ -6,6 +6,7 @@ import os
 import select
 import shutil
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -115,6 +116,20 @@ def test_connections_that_end_in_the_window_count_up_to_their_end() -> None:
         time.sleep(0.1)
         have_ended()
     assert sorted(found) == [60, 90]
+
+
+def test_what_was_closed_is_collected_at_once_and_not_in_the_next_window() -> None:
+    """Else the end of a connection before a probe would bring all of its bytes into the window of the probe."""
+    robot = f"{NET}.34"
+    with contextlib.closing(sockets.CloseListener({sockets.pack_address(robot)})) as listener:
+        for _ in range(50):
+            with connected(robot) as (near, far):
+                sent(near, far, 1_000)
+                # Both ends are gone at once, without a handshake.
+                for each in (near, far):
+                    each.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            found = [each.tx for each in listener.collect() if each.remote[0] == robot]
+            assert [tx // 1000 for tx in found] == [1]
 
 
 def test_a_connection_that_ends_while_connections_are_listed_counts_once() -> None:
