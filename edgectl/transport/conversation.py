@@ -53,7 +53,8 @@ REST_S = 10.0
 # Of an end of the conversation that waits for others.
 _PATIENCE_S = 0.2
 _JOIN_S = 2.0
-# Requests in a row that the agent does not take, for want of a place for compiled code.
+# Requests of one operation, each after a call of it, that the agent does not take: it has no place for code.
+# The first of an operation is refused on each host that has no compiled code of it yet; its call keeps it.
 _MAX_REFUSED = 3
 _PROGRAM_COUNT = 2
 # Of the readings of a host: more than come before somebody looks at them.
@@ -104,7 +105,8 @@ class Conversation:
         self._resting: RestingExchange | None = None
         self._questions: dict[int, _Question | ReadingFeed] = {}
         self._numbers = itertools.count(1)
-        self._refused = 0
+        # By operation: how many were refused in a row, and when a call of it ended since (s, monotonic).
+        self._refused: dict[bytes, tuple[int, float]] = {}
         self._used_at = time.monotonic()
         self._lock, self._writing = threading.Lock(), threading.Lock()
         self._hearing, self._reader = threading.Lock(), frames.FrameReader(frames.HOST_WORDS)
@@ -133,7 +135,8 @@ class Conversation:
             DeadlineError: no reply within ``timeout`` seconds.
             ConnectError: nobody knows whether a request that ``changes`` something was carried out.
         """
-        question, deadline = feed or _Question(limit), time.monotonic() + timeout
+        question, asked_at = feed or _Question(limit), time.monotonic()
+        deadline = asked_at + timeout
         with self._lock:
             exchange, number = self._exchange, next(self._numbers)
             if not self._open or exchange is None:
@@ -152,11 +155,35 @@ class Conversation:
                     self._questions.pop(number, None)
                 self._used_at = time.monotonic()
                 self._let_rest()
+        self._note_refusal(packet, asked_at, refused=question.refused)
         if changes and not question.whole and not question.refused:
             raise ConnectError("the agent ended before it had replied")
         if feed is not None and feed.whole:
             feed.drop, feed.take_up = lambda: self._drop(exchange, number), self._take_up
         return bytes(question.output) if question.whole else None
+
+    def _note_refusal(self, packet: bytes, asked_at: float, *, refused: bool) -> None:
+        """End for good after many requests of one operation that the agent did not take."""
+        operation = packet.partition(b"\n")[0].split()[-1]
+        with self._lock:
+            if not refused:
+                self._refused.pop(operation, None)
+                return
+            count, called_at = self._refused.get(operation, (0, -math.inf))
+            if asked_at >= called_at:
+                self._refused[operation] = count + 1, math.inf
+            over = self._refused[operation][0] >= _MAX_REFUSED
+        if over:
+            # Before its asker goes on, who would begin another one.
+            self.give_way()
+
+    def note_call(self, packet: bytes) -> None:
+        """Note that a request had a call of its own, and has been carried out."""
+        operation = packet.partition(b"\n")[0].split()[-1]
+        with self._lock:
+            if operation in self._refused:
+                count, called_at = self._refused[operation]
+                self._refused[operation] = count, min(called_at, time.monotonic())
 
     def _drop(self, exchange: OpenExchange, number: int) -> None:
         """Tell the agent that nobody listens to a feed any more."""
@@ -334,10 +361,6 @@ class Conversation:
                 question.add(body)
             return
         question.refused = word == frames.REFUSED
-        self._refused = self._refused + 1 if question.refused else 0
-        if self._refused >= _MAX_REFUSED:
-            # Before its asker goes on, who would begin another one.
-            self.give_way()
         question.end(whole=word == frames.END and body == b"0")
         if isinstance(question, ReadingFeed):
             with self._lock:
@@ -414,7 +437,10 @@ class ConversingSession:
             left = deadline - time.monotonic()
             if left <= 0:
                 raise DeadlineError(f"no answer within {timeout:.3g} s")
-            return self._session.run(command, stdin, timeout=left, limit=limit)
+            reply = self._session.run(command, stdin, timeout=left, limit=limit)
+            if conversation is not None:
+                conversation.note_call(packet)
+            return reply
         finally:
             self._asked_at = time.monotonic()
 

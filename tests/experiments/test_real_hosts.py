@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from tests.e2e.bench import Bench, a_local, a_mark, a_sleeper, list_sleepers, op
 from tests.forkserver import ForkedProcess
 from tests.pace import patience
 from tests.sshd import Lab
+from tests.transport.test_conversation import CountingTransport
 
 EDGES = [a_local(an_edge("edge1"), "127.0.0.31"), a_local(an_edge("edge2"), "127.0.0.32")]
 ROBOT = replace(a_local(a_robot("robot1"), "127.0.0.41"), onboard=True)
@@ -83,6 +85,22 @@ def test_two_schemes_twice_with_real_processes(bench: Bench, tmp_path: Path) -> 
     assert bench.actions() == {"slam": Action.START, "merge": Action.START}, (
         "its completion counts for the trial alone"
     )
+
+
+def test_a_trial_asks_and_changes_by_agents_that_stay(bench: Bench, tmp_path: Path) -> None:
+    """Each cycle of a mission asks all hosts; the first ones have calls, as the first of an operation on each host."""
+    transport, cycles = CountingTransport(), 20
+    work = a_task("merge", command=f"sleep {cycles * SPEC.every}", kind=TaskKind.JOB, robots=("robot1",))
+    fleet = replace(bench.using(work).fleet, transport=transport)
+    spec = replace(SPEC, schemes=SCHEMES[:1], repetitions=1)
+    options = ExperimentOptions(directory=tmp_path / "run", spec_directory=tmp_path)
+    (trial,) = run_experiment(fleet, spec, options).trials
+    assert trial.finished
+    hosts = {"edge1", "edge2", "robot1"}
+    assert set(transport.agents) == hosts
+    asked = Counter(transport.calls)
+    assert all(count == 1 for (_, operation), count in asked.items() if operation in ("start", "wait"))
+    assert all(asked[host, operation] < cycles / 2 for host in hosts for operation in ("probe", "lease"))
 
 
 # Uses this much CPU of its own, then sleeps until its time is over; a process that it starts uses a part of it.

@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from functools import partial
 from pathlib import Path
@@ -555,6 +556,32 @@ def test_three_refusals_in_a_row_end_it_for_good(monkeypatch: pytest.MonkeyPatch
         for _ in range(5):
             assert run_scripted(session) == b"by a call"
     assert (len(asked), within.begun) == (3, 1)
+
+
+def test_a_host_without_compiled_code_is_not_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As each is after an upgrade: the first requests of each operation are refused, also many beside each other."""
+    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
+    monkeypatch.setattr(conversation, "PATIENCE_S", ANSWERS_S)
+    fleet = Fleet(Host(name="edge1", role=Role.EDGE, host="localhost", connection=Connection.LOCAL))
+    with fleet.pool, ThreadPoolExecutor(4) as pool:
+        # Keeps the agent, and the code of a probe alone.
+        fleet.ask("probe", window_s=0.0)
+        fleet.pool.expect_requests(fleet.hosts)
+        fleet.ask("status", task=None)
+        list(pool.map(fleet.start, [f"task{n}" for n in range(4)]))
+        assert {operation for _, operation in fleet.transport.calls} == {"probe", "status", "start", "wait"}
+        assert fleet.transport.agents == ["edge1"]
+        del fleet.transport.calls[:]
+        for n in range(4):
+            fleet.start(f"later{n}")
+        fleet.ask("probe", window_s=0.0)
+        # Of code that grew one call may be needed.
+        assert len(fleet.transport.calls) <= 2
+        assert fleet.transport.agents == ["edge1"]
+        for task in [f"{name}{n}" for name in ("task", "later") for n in range(4)]:
+            fleet.stop(task)
 
 
 def test_the_fourth_request_in_a_row_begins_a_conversation_and_does_not_wait_for_it() -> None:
