@@ -1,33 +1,54 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run every benchmark of this package, each in a process of its own: ``python -m tests.benchmarks``."""
+"""Run every benchmark of this package, each in a process of its own: ``python -m tests.benchmarks [NAME ..]``.
 
+At the end all ratios that they have noted stand in one table.
+"""
+
+import os
 import subprocess
 import sys
+import tempfile
+from collections.abc import Sequence
 from pathlib import Path
+
+from tests.benchmarks import ratios
 
 ORDER = ("startup", "planner", "probe_fanout")
 
 
-def main() -> int:
-    """Return the exit status: 0, or 1 if a benchmark failed or missed its goal."""
+def list_benchmarks() -> list[str]:
+    """Return the names of all benchmarks: modules that can be run."""
     here = Path(__file__).parent
-    names = sorted(path.stem for path in here.glob("*.py") if not path.stem.startswith("_"))
-    names.sort(key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER))
+    names = sorted(path.stem for path in here.glob("*.py") if '__name__ == "__main__"' in path.read_text())
+    names = [name for name in names if not name.startswith("_")]
+    return sorted(names, key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER))
+
+
+def main(words: Sequence[str]) -> int:
+    """Return the exit status: 0, or 1 if a benchmark failed or missed its goal."""
     failed = []
-    for name in names:
-        print(f"== {name}", flush=True)
-        if (
-            subprocess.run(
-                [sys.executable, "-m", f"tests.benchmarks.{name}"], cwd=here.parents[1], check=False
-            ).returncode
-            != 0
-        ):
-            failed.append(name)
-        print()
+    with tempfile.TemporaryDirectory(prefix="edgectl-") as folder:
+        noted = Path(folder) / "ratios"
+        noted.touch()
+        for name in words or list_benchmarks():
+            print(f"== {name}", flush=True)
+            if run_benchmark(name, noted) != 0:
+                failed.append(name)
+            print()
+        found = ratios.read_ratios(noted)
+    print(ratios.format_table(found))
     if failed:
         print("missed or failed:", ", ".join(failed))
-    return 1 if failed else 0
+    return 1 if failed or not all(each.met for each in found) else 0
+
+
+def run_benchmark(name: str, noted: Path) -> int:
+    """Return the exit status of one benchmark, which adds its ratios to the file ``noted``."""
+    command = [sys.executable, "-m", f"tests.benchmarks.{name}"]
+    where = Path(__file__).parents[2]
+    environment = os.environ | {ratios.VARIABLE: str(noted)}
+    return subprocess.run(command, cwd=where, env=environment, check=False).returncode
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

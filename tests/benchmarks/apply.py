@@ -20,6 +20,7 @@ from edgectl.model.progress import ProgressEvent, ProgressStage
 from edgectl.model.result import Phase
 from edgectl.model.task import Task
 from edgectl.usecases.apply import ApplyOptions, plan_and_apply
+from tests.benchmarks.ratios import note_ratio
 from tests.builders import a_task, an_inventory
 from tests.e2e.bench import EAGER, GENTLE, QUICK, Bench, a_slice, open_bench
 from tests.leftovers import end_started_in
@@ -120,6 +121,7 @@ def main(words: Sequence[str]) -> int:
                 alone, ours = measure_program(lab, work, folder / f"program{number}", runs)
                 ratio = statistics.median(mine / own for mine, own in zip(ours, alone, strict=True))
                 worst = max(worst, ratio)
+                note_ratio(f"apply of ten programs; each {name}", ratio, of="their own start", most=GOAL)
                 print(
                     f"{name:<20}{statistics.median(alone):>15.2f}{statistics.median(ours):>10.2f}{ratio:>8.2f}",
                     flush=True,

@@ -20,6 +20,7 @@ from edgectl.transport.agent_client import call_agent
 from edgectl.transport.base import Session
 from edgectl.transport.conversation import ConversingSession
 from edgectl.transport.fleet_transport import FleetTransport
+from tests.benchmarks.ratios import note_ratio
 from tests.faults.link_fault import LinkFault, LinkFaultKind
 from tests.faults.relay import Relay
 from tests.sshd import Server, _list_descendants, running_lab
@@ -92,6 +93,19 @@ def measure_requests(count: int) -> None:
                         for each in (here, there)
                     ]
                     print(f"| `{connection}` | {name} | {' | '.join([*medians, *spent])} |", flush=True)
+                    note_costs(f"{name}, by an agent that stays, {connection}", times, here, there)
+
+
+def note_costs(
+    what: str, times: Mapping[str, list[float]], here: Mapping[str, float], there: Mapping[str, float]
+) -> None:
+    """Note what of a call a shared request takes: it must be less."""
+    wall = statistics.median(times["shared"]) / statistics.median(times["call"])
+    note_ratio(f"{what}: time", wall, of="a call", most=1.0)
+    note_ratio(f"{what}: CPU of the manager", here["shared"] / here["call"], of="a call", most=1.0)
+    if there["call"] > there["shared"]:
+        # Servers of calls that end with each connection are not seen.
+        note_ratio(f"{what}: CPU of the host", there["shared"] / there["call"], of="a call", most=1.0)
 
 
 def measure_far_host() -> None:
@@ -119,6 +133,7 @@ def measure_far_host() -> None:
                     medians.append(1000 * statistics.median(times))
         finally:
             relay.stop()
+    note_ratio(f"status over {1000 * FAR_S:.0f} ms each way", medians[0] / medians[1], of="a call", most=0.5)
     print(f"\nA status over {1000 * FAR_S:.0f} ms each way: {medians[1]:.0f} ms, shared {medians[0]:.0f} ms.")
 
 

@@ -35,6 +35,7 @@ from edgectl.transport.ssh_session import SshSession  # noqa: E402
 
 IMPORTS_S = time.perf_counter() - IMPORTS_FROM
 
+from tests.benchmarks.ratios import note_ratio  # noqa: E402
 from tests.sshd import Lab, running_lab  # noqa: E402
 
 SIZES = (3, 16, 64, 256)
@@ -172,6 +173,7 @@ def print_cold_row(lab: Lab, names: Sequence[str], out: Path) -> bool:
         f"{size:>5} {ours:>10.3f} {theirs:>8.3f} {ratio:>6.2f} {COLD_GOAL:>5} {ours / size * 1000:>8.1f} {cpu * 1000:>19.1f}",
         flush=True,
     )
+    note_ratio(f"probe of {size} hosts, new connections", ratio, of="ssh with the same agent", most=COLD_GOAL)
     return ratio <= COLD_GOAL
 
 
@@ -193,6 +195,7 @@ def measure_warm(lab: Lab, out: Path) -> bool:
     print(
         f"probe of {len(names)} hosts on open connections: {ours:.3f} s, bare channels {theirs:.3f} s, ratio {ratio:.2f} (goal {WARM_GOAL})"
     )
+    note_ratio(f"probe of {len(names)} hosts, open connections", ratio, of="bare channels", most=WARM_GOAL)
     return ratio <= WARM_GOAL
 
 

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from edgectl.cli.app import COMMANDS
+from tests.benchmarks.ratios import note_ratio
 
 RUNS = 15
 HELP_GOAL = 1.15
@@ -135,6 +136,8 @@ def main() -> int:
     print(
         f"plan --snapshot: {took:.2f} s (goal {PLAN_GOAL_S:.1f} s); imports of ssh: {', '.join(sorted(heavy)) or 'none'}"
     )
+    note_ratio("edgectl --help", ratio, of="an empty typer app", most=HELP_GOAL)
+    note_ratio("plan --snapshot of 50 x 200", took / PLAN_GOAL_S, of=f"{PLAN_GOAL_S:g} s", most=1.0)
     return int(ratio > HELP_GOAL or took > PLAN_GOAL_S or bool(heavy))
 
 

@@ -18,6 +18,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
+from tests.benchmarks.ratios import note_ratio
 from tests.faults.hosts import wait_for
 from tests.faults.network import ManagerNetwork, plug_in_card
 from tests.sshd import Lab, running_lab
@@ -160,6 +161,9 @@ def main(words: Sequence[str]) -> int:
         f"{count} hosts, {seconds:.0f} s, {rate:.2f} cycles/s: {manager:.2%} of a core here, {1000 * manager / rate:.1f} ms"
         f" a cycle; {mean:.2%} on a host (most {max(hosts):.2%})"
     )
+    what = f"watch of {count} hosts each second"
+    note_ratio(f"{what}: the manager", manager / MOST_MANAGER, of=f"{MOST_MANAGER:.0%} of a core", most=1.0)
+    note_ratio(f"{what}: a host", mean / MOST_HOST, of=f"{MOST_HOST:.1%} of a core", most=1.0)
     return int(manager > MOST_MANAGER or mean > MOST_HOST)
 
 

@@ -20,6 +20,7 @@ from pathlib import Path
 from edgectl.model.inventory import Inventory
 from edgectl.transport import agent_client
 from tests.benchmarks.probe_fanout import record_request
+from tests.benchmarks.ratios import note_ratio
 from tests.sshd import Lab, running_lab
 
 SIZES = (3, 16, 64)
@@ -142,6 +143,14 @@ def measure_row(lab: Lab, names: Sequence[str], folder: Path) -> bool:
     seconds = "".join(f"{statistics.median(times):>16.3f}" for times in took.values())
     print(f"{len(names):>5}{seconds}")
     print(f"{'':>5}{''.join(f'{ratio:>16.2f}' for ratio in ratios.values())}", flush=True)
+    for what, ratio in ratios.items():
+        if what != "edgectl probe":
+            most = MOST_RATIO.get(len(names)) if what == "tuned paramiko" else None
+            note_ratio(f"whole probe of {len(names)} hosts", ratio, of=what, most=most)
+    for most_s in (MOST_S[size] for size in MOST_S if size == len(names)):
+        note_ratio(
+            f"whole probe of {len(names)} hosts", statistics.median(ours) / most_s, of=f"{most_s} s", most=1.0
+        )
     in_time = statistics.median(ours) <= MOST_S.get(len(names), float("inf"))
     return in_time and ratios["tuned paramiko"] <= MOST_RATIO.get(len(names), float("inf"))
 
