@@ -21,6 +21,10 @@ class _Reading(NamedTuple):
     watts: float | None
 
 
+# A counter at less than this share of what it was has begun anew.
+_ANEW_SHARE = 0.5
+
+
 class UsageCounters:
     """Counters of the hosts in the snapshots of a trial, without the jumps of reboots and of ended tasks."""
 
@@ -66,7 +70,10 @@ class UsageCounters:
         )
 
     def _count(self, host: str, key: str, value: float | None, *, known: bool) -> float | None:
-        """What a counter has counted since the first snapshot; one that is lower than before began anew.
+        """What a counter has counted since the first snapshot; one that is far lower than before began anew.
+
+        A little lower is the same: what a supervisor has recorded of an ended task may lack what its
+        processes last showed, or a process is read between its end and that of its parent.
 
         ``known``: it counted before it was first seen, so that its first value is where it starts.
         """
@@ -74,6 +81,8 @@ class UsageCounters:
             return None
         place = host, key
         before = self._last.get(place, value if known else 0.0)
+        if _ANEW_SHARE * before < value < before:
+            value = before
         self._last[place] = value
         self._totals[place] = self._totals.get(place, 0.0) + (value - before if value >= before else value)
         return self._totals[place]

@@ -49,6 +49,18 @@ def test_a_short_mission_between_two_readings_counts_in_full() -> None:
     assert found["zeta"].network_bytes == pytest.approx(8e6 - 2 * 1e5)
 
 
+def test_a_counter_that_is_a_little_lower_has_not_begun_anew() -> None:
+    """What is recorded of an ended task may be less than its processes showed before; a restart is far lower."""
+    found = compute_usage(
+        a_snapshot(0.0, zeta=of_slice()),
+        a_snapshot(2.0, zeta=of_slice(i1=3.22, i2=3.0)),
+        a_snapshot(4.0, zeta=of_slice(i1=3.2, i2=0.4)),
+        a_snapshot(6.0, zeta=of_slice(i1=3.2, i2=0.4)),
+        ended=6.0,
+    )
+    assert found["zeta"].cpu_s == pytest.approx(3.22 + 3.4)
+
+
 def test_a_mission_without_an_end_counts_up_to_its_limit() -> None:
     found = compute_usage(
         a_snapshot(0.0, zeta=of_host(1.0)),
