@@ -32,7 +32,7 @@ class LinkMeter:
 
     def measure(self, probes: network.ConnectProbes, tasks: TaskMeter, seconds: float) -> Document:
         """Measure links and tasks: parts of the reply to a probe."""
-        addresses, flows = self._addresses, self._traffic.flows()
+        addresses, flows = self._addresses, self._traffic.flows(probes.opened)
         interfaces = network.find_interfaces(addresses)
         datagrams = self._udp.find_sockets()
         counted = None if self._counted is None else self._counted.measure(addresses, interfaces)
