@@ -14,7 +14,7 @@ from edgectl.agent.link import protocol
 from edgectl.agent.link import stub as stub_module
 from edgectl.agent.measure.counters import Rates
 from edgectl.agent.measure.probe import _compute_crc32
-from edgectl.agent.measure.task import TaskMeter
+from edgectl.agent.measure.task_meter import TaskMeter, Traffic
 from edgectl.agent.supervise import state_dir
 from edgectl.errors import RefusedError
 from tests.agent.conftest import AgentHost, a_spec
@@ -32,8 +32,8 @@ REQUESTS: dict[str, tuple[dict[str, Any], set[str], int]] = {
     "lease": ({"action": "renew", "lease": LEASE}, TASKS, 16),
     "stop": ({"task": "slam", "instance": None, "generation": None, "stop": None}, TASKS, 25),
     "wait": ({"task": "slam", "instance": "i1", "timeout_s": 0.0}, set(), 17),
-    "probe": ({"window_s": 0.0}, set(), 28),
-    "probe of a link": ({"window_s": 0.0, "links": LINKS}, {"_socket", "_struct", "select", "errno"}, 33),
+    "probe": ({"window_s": 0.0}, set(), 22),
+    "probe of a link": ({"window_s": 0.0, "links": LINKS}, {"_socket", "select", "errno"}, 27),
     "start": (
         {
             "task": "done",
@@ -127,7 +127,7 @@ def list_calls(host: AgentHost, states: dict[str, str]) -> set[str]:
     calls: set[str] = set()
     sys.setprofile(lambda frame, _event, _value: calls.add(frame.f_code.co_name))
     try:
-        found = TaskMeter(host.name, []).measure([], {}, {}, 1.0, Rates())
+        found = TaskMeter(host.name, []).measure(Traffic([], {}, {}, Rates()), 1.0)
     finally:
         sys.setprofile(None)
     assert {name: entry["state"] for name, entry in found.items()} == states
