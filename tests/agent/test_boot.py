@@ -3,7 +3,6 @@
 
 import ast
 import hashlib
-import marshal
 import os
 import shutil
 import stat
@@ -20,7 +19,7 @@ from pathlib import Path
 import pytest
 
 import edgectl
-from edgectl.agent.link import boot, stub
+from edgectl.agent.link import boot, cache, stub
 from edgectl.errors import ReplyError
 from edgectl.transport import agent_client as protocol
 from edgectl.transport import enter_program
@@ -32,8 +31,8 @@ from tests.pace import patience
 AGENT = Path(edgectl.__file__).parent / "agent"
 
 
-# The boot program's expression for the directory in shared memory.
-SHARED = b'"/dev/shm/edgectl-%d" % os.geteuid()'
+# The stub's expression for the directory in shared memory.
+SHARED = b'"/dev/shm/edgectl-%d" % posix.geteuid()'
 
 
 @pytest.fixture(scope="session")
@@ -123,7 +122,7 @@ def test_runs_from_memory_where_nothing_can_be_kept(host: AgentHost, tmp_path: P
         f"import sys; sys.path.insert(0, {str(AGENT / 'link')!r})\n"
         "import boot\n"
         "words = sys.stdin.buffer.readline().decode().split()\n"
-        "boot.boot_agent(sys.stdin.buffer, words, ['/proc/nowhere', '/proc/nowhere-else'], {})\n"
+        "boot.boot_agent(sys.stdin.buffer, words, ['/proc/nowhere', '/proc/nowhere-else'], b'')\n"
     )
     packet = protocol.build_packet(
         {"op": "probe", "fleet": "lab", "host": "edge1", "window_s": 0.05},
@@ -170,7 +169,7 @@ def find_code(host: AgentHost, operation: str = "status") -> Path:
 
 def read_code(host: AgentHost, operation: str) -> dict[str, object]:
     """The modules in the compiled code of an operation."""
-    return dict(marshal.loads(find_code(host, operation).read_bytes()[stub.SEAL_BYTES :]))
+    return dict(boot.split_code(memoryview(find_code(host, operation).read_bytes())[stub.SEAL_BYTES :]))
 
 
 def test_compiled_code_is_kept_privately(host: AgentHost) -> None:
@@ -210,7 +209,7 @@ def test_compiled_code_of_a_task_does_not_run(host: AgentHost, forged: bytes) ->
     proof = host.state / "proof"
     code = compile(f"open({str(proof)!r}, 'w').write('ran')", "boot.py", "exec")
     modules = read_code(host, "status")
-    planted.write_bytes(forged + marshal.dumps({**modules, "edgectl_agent.link.boot": code}))
+    planted.write_bytes(forged + cache.join_code({**modules, "edgectl_agent.link.boot": code}))
     assert host.ask("status", task=None)["tasks"] == {}
     assert not proof.exists()
     assert read_code(host, "status").keys() == modules.keys(), "compiled and sealed again"
@@ -230,7 +229,7 @@ def test_code_grows_by_what_later_requests_load(host: AgentHost) -> None:
     host.ask("check", command="true", prelude="", env={}, timeout_s=5.0)
     modules = read_code(host, "check")
     modules.pop("edgectl_agent.supervise.shell")
-    code = marshal.dumps(modules)
+    code = cache.join_code(modules)
     name = find_code(host, "check").name.encode()
     find_code(host, "check").write_bytes(stub.compute_seal(protocol._PROCESS_KEY.encode(), name, code) + code)
     host.ask("check", command="true", prelude="", env={}, timeout_s=5.0)

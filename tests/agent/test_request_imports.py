@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-from edgectl.agent.link import protocol
-from edgectl.agent.link import stub as stub_module
+from edgectl.agent.link import boot, protocol, stub
 from edgectl.agent.measure.counters import Rates
 from edgectl.agent.measure.probe import _compute_crc32
-from edgectl.agent.measure.task import TaskMeter
+from edgectl.agent.measure.task_meter import TaskMeter, Traffic
 from edgectl.agent.supervise import state_dir
 from edgectl.errors import RefusedError
+from edgectl.transport import agent_client
 from tests.agent.conftest import AgentHost, a_spec
 from tests.pace import patience
 
@@ -24,7 +24,7 @@ LINKS = [{"robot": "robot1", "address": "127.16.98.1"}]
 LEASE = {"holder": "ana", "session": "s1", "epoch": 1}
 # What each request may load besides what Python itself does: modules of the standard library, of ``os`` only its
 # part in C, and a number of the agent's own.
-ALWAYS = {"stat", "_stat", "posixpath", "genericpath", "gc", "_blake2", "_sha256", "_sha2", "_json"}
+ALWAYS = {"stat", "_stat", "posixpath", "genericpath", "gc", "_blake2", "_json"}
 TASKS = {"zlib", "fcntl"}
 REQUESTS: dict[str, tuple[dict[str, Any], set[str], int]] = {
     "status": ({"task": None}, set(), 17),
@@ -32,8 +32,8 @@ REQUESTS: dict[str, tuple[dict[str, Any], set[str], int]] = {
     "lease": ({"action": "renew", "lease": LEASE}, TASKS, 16),
     "stop": ({"task": "slam", "instance": None, "generation": None, "stop": None}, TASKS, 25),
     "wait": ({"task": "slam", "instance": "i1", "timeout_s": 0.0}, set(), 17),
-    "probe": ({"window_s": 0.0}, set(), 28),
-    "probe of a link": ({"window_s": 0.0, "links": LINKS}, {"_socket", "_struct", "select", "errno"}, 33),
+    "probe": ({"window_s": 0.0}, set(), 22),
+    "probe of a link": ({"window_s": 0.0, "links": LINKS}, {"_socket", "select", "errno"}, 27),
     "start": (
         {
             "task": "done",
@@ -85,6 +85,41 @@ def test_request_loads_no_more_than_it_needs(
     assert len(mine) <= own, sorted(mine)
 
 
+@pytest.mark.skipif(sys.version_info[:2] != (3, 11), reason="other versions have code of other sizes")
+def test_code_of_a_request_does_not_grow_unseen(host: AgentHost) -> None:
+    """All of it is read and hashed at each request, where only what is run is unmarshalled."""
+    host.ask("status", task=None)
+    host.ask("probe", window_s=0.0)
+    sizes = {path.name.split(".")[0]: path.stat().st_size for path in host.state.rglob("*.code")}
+    assert sizes["status"] < 122_000
+    assert sizes["probe"] < 166_000
+    host.ask("probe", window_s=0.0, links=LINKS)
+    (code,) = host.state.rglob("probe.*.code")
+    assert code.stat().st_size < 230_000
+
+
+def test_what_one_probe_needed_another_does_not_unmarshal(host: AgentHost, tmp_path: Path) -> None:
+    """The code of links is in the file of all probes, and a probe without links runs none of it."""
+    host.ask("probe", window_s=0.0, links=LINKS)
+    report, python = tmp_path / "imports", tmp_path / "python3"
+    python.write_text(f'#!/bin/sh\nexec {sys.executable} -X importtime "$@" 2>{report}\n')
+    python.chmod(0o700)
+    host.session.python = str(python)
+    host.ask("probe", window_s=0.0)
+    loaded = list_modules(report.read_text())
+    (code,) = host.state.rglob("probe.*.code")
+    kept = boot.split_code(memoryview(code.read_bytes())[stub.SEAL_BYTES :])
+    assert isinstance(kept["edgectl_agent.measure.network"], memoryview)
+    assert "edgectl_agent.measure.probe" in loaded
+    assert "edgectl_agent.measure.network" not in loaded
+
+
+def test_the_program_that_is_compiled_at_each_request_is_short() -> None:
+    programs = agent_client._read_boot_programs()
+    length = int(programs.partition(b"\n")[0])
+    assert length < 2_350
+
+
 def test_part_of_os_becomes_the_whole_where_more_is_needed(tmp_path: Path) -> None:
     """As subprocess or makedirs need it; what was imported before has it, too."""
     program = """
@@ -100,9 +135,9 @@ assert part.walk is walk is os.walk and part.environ is os.environ and part.path
 assert subprocess.check_output(["/bin/echo", "x"]) == b"x\\n"
 assert not hasattr(part, "no_such_name")
 """
-    stub = Path(stub_module.__file__).read_text().rpartition("\nif __name__")[0]
+    text = Path(boot.__file__).read_text().partition("import stat ")[0]
     environment = {b"NAME": b"\xe9", b"HOME": b"/nowhere", b"LC_ALL": b"C.UTF-8"}
-    words = [sys.executable, "-I", "-S", "-c", stub + program, str(tmp_path)]
+    words = [sys.executable, "-I", "-S", "-c", text + program, str(tmp_path)]
     subprocess.run(words, env=environment, check=True, timeout=patience(10))
     assert (tmp_path / "a" / "b").is_dir()
 
@@ -127,7 +162,7 @@ def list_calls(host: AgentHost, states: dict[str, str]) -> set[str]:
     calls: set[str] = set()
     sys.setprofile(lambda frame, _event, _value: calls.add(frame.f_code.co_name))
     try:
-        found = TaskMeter(host.name, []).measure([], {}, {}, 1.0, Rates())
+        found = TaskMeter(host.name, []).measure(Traffic([], {}, {}, Rates()), 1.0)
     finally:
         sys.setprofile(None)
     assert {name: entry["state"] for name, entry in found.items()} == states

@@ -134,7 +134,7 @@ class ProfilerDaemon:
     def _take_sample(self, probes: network.ConnectProbes) -> Document:
         now = time.monotonic()
         seconds, self.since = max(1e-3, now - self.since), now
-        cpu, flows = self.cpu.measure(), self.traffic.flows()
+        cpu, flows = self.cpu.measure(), self.traffic.flows(probes.opened)
         before, self.totals = self.totals, interfaces.read_interface_bytes()
         probes.close(self.addresses)
         udp = self.udp.find_sockets()

@@ -4,13 +4,13 @@
 import marshal
 import os
 
-from .boot import FINGERPRINT, PACKAGE, AgentImporter, make_private_dir, read_file
+from .boot import FINGERPRINT, PACKAGE, AgentImporter, make_private_dir, read_file, split_code
 from .protocol import OP_CONVERSE
 from .stub import SEAL_BYTES, compute_seal, name_code
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import List
+    from typing import List, Union
 
     from .boot import Bundle
 
@@ -57,8 +57,29 @@ def write_bundle(importer: AgentImporter, operation: str) -> None:
     # What writes code is not needed again until there is more to write; a conversation reads code by it.
     left_out = () if operation == OP_CONVERSE else (STUB, __name__)
     kept = {name: each for name, each in importer.bundle.items() if name not in left_out}
-    code = marshal.dumps(kept)
+    code = join_code(kept)
     _write_and_rename(fd, partial, path, _compute_seal(importer.key, path, code) + code)
+
+
+def join_code(bundle: "Bundle") -> bytes:
+    """Join the code of modules to one file, each apart: a request unmarshals what it needs (``split_code``).
+
+    The boot program comes first. At the end: the fingerprint of the agent and where each module begins and
+    ends, in the order of ``bundle``, and the length of that.
+    """
+    dumped = {
+        name: code if isinstance(code, memoryview) else marshal.dumps(code)
+        for name, code in bundle.items()
+        if name != FINGERPRINT and code is not None
+    }
+    parts, spans, at = [], {}, 0
+    for name in sorted(dumped, key=lambda each: each != BOOT):
+        parts.append(dumped[name])
+        spans[name] = at, at + len(dumped[name])
+        at = spans[name][1]
+    places = [(name, *spans.get(name, (0, 0))) for name in bundle if name != FINGERPRINT]
+    index = marshal.dumps((bundle[FINGERPRINT], places))
+    return b"".join([*parts, index, len(index).to_bytes(4, "little")])
 
 
 def read_code(importer: AgentImporter, operation: str) -> "Bundle":
@@ -71,19 +92,19 @@ def _find_code_path(importer: AgentImporter, folder: str, operation: str) -> str
     return os.path.join(folder, importer.sha, *name_code(importer.key, operation))
 
 
-def _compute_seal(key: str, path: str, code: bytes) -> bytes:
+def _compute_seal(key: str, path: str, code: "Union[bytes, memoryview]") -> bytes:
     return compute_seal(key.encode(), os.path.basename(path).encode(), code)
 
 
 def _read_bundle(importer: AgentImporter, path: str) -> "Bundle":
     """Read compiled code; {} where there is none, or its seal is not ours."""
     try:
-        data, _ = read_file(path)
+        data = memoryview(read_file(path)[0])
     except OSError:
         return {}
     if data[:SEAL_BYTES] != _compute_seal(importer.key, path, data[SEAL_BYTES:]):
         return {}
-    return dict(marshal.loads(data[SEAL_BYTES:]))  # noqa: S302 - of this manager, as the seal proves
+    return split_code(data[SEAL_BYTES:])
 
 
 def _create_file(path: str) -> int:

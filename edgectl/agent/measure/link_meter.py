@@ -8,7 +8,7 @@ such a probe.
 from ..link.fast_json import Document
 from ..supervise import state_dir
 from . import network
-from .task import TaskMeter
+from .task_meter import TaskMeter, Traffic
 from .udp import UdpMeter
 
 
@@ -32,11 +32,11 @@ class LinkMeter:
 
     def measure(self, probes: network.ConnectProbes, tasks: TaskMeter, seconds: float) -> Document:
         """Measure links and tasks: parts of the reply to a probe."""
-        addresses, flows = self._addresses, self._traffic.flows()
+        addresses, flows = self._addresses, self._traffic.flows(probes.opened)
         interfaces = network.find_interfaces(addresses)
         datagrams = self._udp.find_sockets()
         counted = None if self._counted is None else self._counted.measure(addresses, interfaces)
-        measured = tasks.measure(flows, datagrams, addresses, seconds, counted)
+        measured = tasks.measure(Traffic(flows, datagrams, addresses, counted), seconds)
         probes.close(addresses)
         window_s = self._traffic.seconds
         return {

@@ -6,7 +6,7 @@ delivery rate with the flag that the application was the limit (Linux 4.9), the 
 time during which data was, or waited for the receiver or for the send buffer (4.10). Nothing is sent for it.
 """
 
-from .sockets import struct
+from .sockets import read_number
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -64,11 +64,11 @@ def _is_under_way(info: bytes) -> bool:
     """Whether the sender has more to send than was acknowledged, and would send it faster."""
     if len(info) < _DELIVERY_AT + 8 or info[_FLAGS_AT] & _APP_LIMITED:
         return False
-    return bool(struct.unpack_from("=I", info, _UNACKED_AT)[0] >= _MIN_UNDER_WAY)
+    return read_number(info, _UNACKED_AT) >= _MIN_UNDER_WAY
 
 
 def _read_delivery(info: bytes) -> int:
-    return int(struct.unpack_from("=Q", info, _DELIVERY_AT)[0]) if len(info) >= _DELIVERY_AT + 8 else 0
+    return read_number(info, _DELIVERY_AT, 8)
 
 
 def _read_busy(info: bytes) -> "tuple[float, float]":
@@ -78,7 +78,7 @@ def _read_busy(info: bytes) -> "tuple[float, float]":
     """
     if len(info) < _BUSY_END:
         return 0.0, 0.0
-    busy, receiver, buffer = struct.unpack_from("=QQQ", info, _BUSY_AT)
+    busy, receiver, buffer = (read_number(info, at, 8) for at in range(_BUSY_AT, _BUSY_END, 8))
     return busy / 1e6, (receiver + buffer) / 1e6
 
 
@@ -86,8 +86,10 @@ def read_progress(info: bytes) -> "tuple[int, float]":
     """Read (bytes confirmed, seconds in which data was under way or waited, and the receiver had room)."""
     if len(info) < _ACKED_AT + 8:
         return 0, 0.0
-    busy, receiver = struct.unpack_from("=QQ", info, _BUSY_AT) if len(info) >= _BUSY_END else (0, 0)
-    return int(struct.unpack_from("=Q", info, _ACKED_AT)[0]), (busy - receiver) / 1e6
+    busy, receiver = (
+        read_number(info, at, 8) if len(info) >= _BUSY_END else 0 for at in (_BUSY_AT, _BUSY_AT + 8)
+    )
+    return read_number(info, _ACKED_AT, 8), (busy - receiver) / 1e6
 
 
 def estimate_rate(flows: "list[Flow]", seconds: float) -> "float | None":
@@ -108,18 +110,17 @@ def is_path_full(info: bytes) -> bool:
     """Whether a sender has met the limit of its path: a loss, the end of its slow start, or a queue."""
     if len(info) < _MIN_RTT_AT + 4:
         return False
-    return _has_queue(info) or bool(struct.unpack_from("=I", info, _THRESHOLD_AT)[0] < _NO_THRESHOLD)
+    return _has_queue(info) or read_number(info, _THRESHOLD_AT) < _NO_THRESHOLD
 
 
 def is_device_full(info: bytes) -> bool:
     """Whether a sender has data and may send it, and the queue of its own device lets it wait."""
     if len(info) < _NOT_SENT_AT + 4:
         return False
-    (under_way,), (window,) = (struct.unpack_from("=I", info, at) for at in (_UNACKED_AT, _WINDOW_AT))
-    return bool(under_way < window and struct.unpack_from("=I", info, _NOT_SENT_AT)[0])
+    under_way, window = read_number(info, _UNACKED_AT), read_number(info, _WINDOW_AT)
+    return bool(under_way < window and read_number(info, _NOT_SENT_AT))
 
 
 def _has_queue(info: bytes) -> bool:
     """Whether round trips take longer than they did without a queue."""
-    rtt, least = struct.unpack_from("=I", info, _RTT_AT)[0], struct.unpack_from("=I", info, _MIN_RTT_AT)[0]
-    return bool(rtt > 2 * least + 2000)
+    return read_number(info, _RTT_AT) > 2 * read_number(info, _MIN_RTT_AT) + 2000

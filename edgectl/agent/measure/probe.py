@@ -7,9 +7,9 @@ import time
 
 from ..link import protocol
 from ..link.fast_json import Document
-from ..supervise import adoption, grants, lockfile, other_tasks, state_dir, status
-from . import device, interfaces, metrics, proc
-from .task import TaskMeter
+from ..supervise import adoption, grants, other_tasks, state_dir
+from . import device, interfaces, proc
+from .task_meter import TaskMeter, Traffic
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -39,8 +39,8 @@ def probe_again(request: Document, meter: "WindowMeter | None") -> Document:
     measured, checks = _read_profiler(request) or (
         _measure_window(request) if meter is None else meter.measure()
     )
-    for task, values in metrics.read_tasks_metrics(request["host"], measured["tasks"]).items():
-        measured["tasks"][task]["metrics"] = values
+    if measured["tasks"]:
+        _add_metrics(request["host"], measured["tasks"])
     # After the measurement, in which it would count, and for none who only reads.
     if lease and lease["lease"]["state"] == "granted":
         _remove_dead_containers(request["host"])
@@ -70,6 +70,13 @@ def probe_again(request: Document, meter: "WindowMeter | None") -> Document:
         **_read_totals(request),
         **_list_engines(request),
     )
+
+
+def _add_metrics(host: str, tasks: "dict[str, Document]") -> None:
+    from .metrics import read_tasks_metrics
+
+    for task, values in read_tasks_metrics(host, tasks).items():
+        tasks[task]["metrics"] = values
 
 
 def _read_latencies(request: Document, tasks: "dict[str, Document]") -> "dict[str, Document]":
@@ -130,6 +137,7 @@ def _remove_dead_containers(host: str) -> None:
     if not folders:
         return
     from ..containers.record import may_be_left
+    from ..supervise import lockfile
 
     ended = [each for each in folders if may_be_left(each) and not lockfile.is_lock_held(each)]
     if ended:
@@ -222,7 +230,7 @@ class WindowMeter:
         self._totals = interfaces.read_interface_bytes()
         rates = interfaces.compute_rates(then, self._totals, seconds)
         if self._links is None or probes is None:
-            tasks = self._tasks.measure([], {}, {}, seconds)
+            tasks = self._tasks.measure(Traffic([], {}, {}), seconds)
             measured: Document = {"links": {}, "counters": "", "peers": {}, "tasks": tasks}
         else:
             measured = self._links.measure(probes, self._tasks, seconds)
@@ -257,6 +265,8 @@ def _list_generations(hosts: "list[str]", measured: "dict[str, Document]") -> "d
     seen: "dict[str, int]" = {}
     for host in hosts:
         for name in state_dir.list_task_names(host):
+            from ..supervise import status
+
             seen[name] = max(seen.get(name, 0), status.read_generation(host, name))
     return {
         name: number for name, number in seen.items() if number > measured.get(name, {}).get("generation", 0)

@@ -49,10 +49,11 @@ def _read_rate(name: str) -> float:
 
 def _ask_driver(name: str) -> float:
     """Ask by ioctl, which starts no process; 0 where the kernel has no wireless extensions."""
-    import fcntl
-
     # Few hosts get here, and each library that a probe loads costs it 0.2 ms.
-    from .sockets import socket, struct
+    import fcntl
+    import struct
+
+    from .sockets import socket
 
     probe = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:

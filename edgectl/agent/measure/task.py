@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from .counters import Rates
     from .network import Flow
+    from .task_meter import Traffic
 
 # Up to this size the kernel sums up the pages of a process (PSS) within a few ms.
 _MAX_PSS_BYTES = 1 << 30
@@ -89,53 +90,32 @@ def _detect_tasks(
     return found
 
 
-def _may_any_live(host: str, names: "list[str]") -> bool:
+def may_any_live(host: str, names: "list[str]") -> bool:
     """Whether the processes of a task must be searched: to read the table of a busy host takes 4 ms."""
     folders = [folder for name in names for folder in state_dir.find_task_dirs(host, name)]
     return any(liveness.may_live(folder) or lockfile.is_lock_held(folder) for folder in folders)
 
 
-class TaskMeter:
-    """Meter of the tasks of one host since its creation or its last measurement."""
+def measure_task(
+    group: TaskProcesses,
+    table: "dict[int, proc.Process]",
+    times: "tuple[dict[int, float], dict[int, float]]",
+    traffic: "Traffic",
+    seconds: float,
+) -> Document:
+    """Measure a task over ``seconds``: its entry with rates.
 
-    def __init__(self, host: str, detect: "list[Document]") -> None:
-        self.host, self.detect = host, detect
-        # Whether a task may run here now; where none does, nothing has to be known of connections.
-        self.may_live = False
-        self.names = state_dir.list_task_names(host)
-        self.before = {name: collect_cpu_s(group, table) for table, name, group in self._find_groups()}
-
-    def _find_groups(self) -> "list[tuple[dict[int, proc.Process], str, TaskProcesses]]":
-        self.may_live = bool(self.detect) or _may_any_live(self.host, self.names)
-        table = proc.read_process_table() if self.may_live else {}
-        return [
-            (table, name, group)
-            for name, group in sorted(find_tasks(self.host, self.names, self.detect, table).items())
-        ]
-
-    def measure(
-        self,
-        flows: "list[Flow]",
-        udp: "dict[int, str]",
-        addresses: "dict[str, list[str]]",
-        seconds: float,
-        counted: "Rates | None" = None,
-    ) -> "dict[str, Document]":
-        """Measure: task -> entry with rates."""
-        found, then, self.before = {}, self.before, {}
-        self.names = state_dir.list_task_names(self.host)
-        for table, name, group in self._find_groups():
-            self.before[name] = collect_cpu_s(group, table)
-            held = list_sockets(group.pids) if flows or udp else set()
-            seen = None if counted is None else counted.find_group(group.pids)
-            found[name] = dict(
-                group.entry,
-                used_cores=compute_cores(self.before[name], table, then.get(name, {}), seconds),
-                used_bytes=read_task_memory(group, table),
-                partial=describe_gap(held, udp, addresses, counted, seen),
-                **build_traffic_entry(compute_traffic(held, flows, addresses, seconds, seen)),
-            )
-        return found
+    ``times``: CPU seconds by pid now and then, as ``collect_cpu_s``.
+    """
+    held = list_sockets(group.pids) if traffic.flows or traffic.udp else set()
+    seen = None if traffic.counted is None else traffic.counted.find_group(group.pids)
+    return dict(
+        group.entry,
+        used_cores=compute_cores(times[0], table, times[1], seconds),
+        used_bytes=read_task_memory(group, table),
+        partial=describe_gap(held, traffic.udp, traffic.addresses, traffic.counted, seen),
+        **build_traffic_entry(compute_traffic(held, traffic.flows, traffic.addresses, seconds, seen)),
+    )
 
 
 def collect_cpu_s(group: TaskProcesses, table: "dict[int, proc.Process]") -> "dict[int, float]":

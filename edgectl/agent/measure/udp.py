@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """UDP sockets: the kernel has no byte counters for them, so of their traffic only its existence is known."""
 
+import sys
 import time
 
 from . import proc
-from .sockets import socket, struct, unmap_address
+from .sockets import socket, unmap_address
 
 _FAMILIES = {8: socket.AF_INET, 32: socket.AF_INET6}
 _TABLES = ("udp", "udp6")
@@ -51,7 +52,9 @@ def find_sockets(busy: bool) -> "dict[int, str]":
 def _parse_end(text: str) -> "tuple[str, int]":
     """Parse address and port; the words of an address are in the byte order of this machine."""
     address, _, port = text.partition(":")
-    raw = b"".join(struct.pack("=I", int(address[at : at + 8], 16)) for at in range(0, len(address), 8))
+    raw = b"".join(
+        int(address[at : at + 8], 16).to_bytes(4, sys.byteorder) for at in range(0, len(address), 8)
+    )
     return unmap_address(socket.inet_ntop(_FAMILIES[len(address)], raw)), int(port, 16)
 
 

@@ -9,7 +9,7 @@ import time
 
 from ..link.fast_json import Document
 from . import proc, radio
-from .sockets import socket, struct
+from .sockets import socket
 
 # ioctl SIOCGIWAP of the wireless extensions: a struct sockaddr behind the name of 16 bytes.
 _GET_ACCESS_POINT = 0x8B15
@@ -115,6 +115,7 @@ def parse_stations(text: str, state: RadioState) -> None:
 
 def _ask_access_point(name: str) -> str:
     import fcntl
+    import struct
 
     probe = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:

@@ -8,7 +8,11 @@ import os
 from ..link import protocol
 from ..link.fast_json import Document
 from ..measure import proc
-from . import liveness, state_dir, status
+from . import state_dir
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from .liveness import InstanceRecord
 
 # Room in a reply; those of this fleet come first.
 _MAX_ENTRIES = 1000
@@ -18,8 +22,13 @@ def list_other_tasks(host: str, table: "dict[int, proc.Process] | None" = None) 
     """List an entry of each: fleet (empty for one of the first release that none has adopted), host, task,
     state, age, instance, spec, generation, and the manager that started it.
     """
+    folders = _list_task_dirs()
+    if not folders:
+        return []
+    from . import liveness
+
     own, names, found = state_dir.get_fleet(), state_dir.list_host_names(host), []
-    for fleet, filed_under, folder in _list_task_dirs():
+    for fleet, filed_under, folder in folders:
         known = fleet == own and filed_under in names
         if (
             (filed_under != host or not known)
@@ -38,12 +47,16 @@ def list_other_tasks(host: str, table: "dict[int, proc.Process] | None" = None) 
 
 def _is_shown(host: str, folder: str) -> bool:
     """Whether the entry of the host for this task is that of ``folder``."""
-    record = status.find_current(host, os.path.basename(folder))[0]
+    from .status import find_current
+
+    record = find_current(host, os.path.basename(folder))[0]
     return record is not None and record.folder == folder
 
 
-def _build_other_entry(fleet: str, host: str, record: liveness.InstanceRecord) -> Document:
-    entry = liveness.build_entry(record, alive=True)
+def _build_other_entry(fleet: str, host: str, record: "InstanceRecord") -> Document:
+    from .liveness import build_entry
+
+    entry = build_entry(record, alive=True)
     return {
         "fleet": fleet,
         "host": host,
