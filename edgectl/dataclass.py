@@ -10,7 +10,7 @@ initializer of a class of which a process makes many objects is compiled after a
 import dataclasses
 from collections.abc import Callable
 from dataclasses import MISSING, FrozenInstanceError, fields
-from functools import partial
+from functools import cache, partial
 from operator import attrgetter
 from reprlib import recursive_repr
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
@@ -30,6 +30,24 @@ else:
         """As the standard one; a class with slots gets its methods here, unless it is ordered."""
         made_here = options.get("slots") and options.keys() <= _OPTIONS
         return partial(_make_class, **options) if made_here else dataclasses.dataclass(**options)
+
+
+@cache
+def _make_reader(cls: Any) -> tuple[tuple[str, ...], Method]:  # noqa: ANN401 - any class
+    names = tuple(each.name for each in fields(cls))
+    # Of one name attrgetter makes no tuple.
+    return names, attrgetter(*names, *names[-1:])
+
+
+def replace_fields(value: T, /, **changes: object) -> T:
+    """As ``dataclasses.replace``, of an object all of whose fields are given to its initializer.
+
+    It takes half of the time: for what a watch replaces for each host in each cycle.
+    """
+    kind: Any = type(value)
+    names, read = _make_reader(kind)
+    made: T = kind(**{**dict(zip(names, read(value), strict=False)), **changes})
+    return made
 
 
 def _make_class(

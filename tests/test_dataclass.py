@@ -272,3 +272,16 @@ def test_nothing_is_compiled() -> None:
     here, standard = map(int, done.stdout.split())
     assert here == 0
     assert standard > 0
+
+
+def test_fields_are_replaced_as_by_the_standard_library() -> None:
+    for made in make_pair(ours.dataclass):
+        values = {"fourth": "x"} if "fourth" in {each.name for each in dataclasses.fields(made)} else {}
+        value = made(first=1, third=[7], hidden="h", ignored=3, **values)
+        for changes in ({}, {"first": 2}, {"third": [], "ignored": 9}):
+            found = ours.replace_fields(value, **changes)
+            assert found == dataclasses.replace(value, **changes)
+            assert (found.hidden, found.ignored) == ("h", changes.get("ignored", 3))
+            assert found is not value
+        with pytest.raises(TypeError, match="unexpected keyword argument 'fifth'"):
+            ours.replace_fields(value, fifth=1)

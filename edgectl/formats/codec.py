@@ -82,7 +82,7 @@ def decode_again(
     for member in list_members(wanted):
         if isinstance(member, Field) and not member.place.inline:
             found, was = raw.get(member.key), before.get(member.key)
-            if found is not None and found is was:
+            if found is was and (found is not None or _is_left_out(member, raw, before)):
                 values[member.name] = getattr(known, member.name)
                 continue
             if member.codec.again is not None:
@@ -92,6 +92,11 @@ def decode_again(
                     continue
         decode_member(member, raw, (), faults, values)
     return kind(**values) if not faults else known
+
+
+def _is_left_out(member: Field, raw: Mapping[str, Any], before: Mapping[str, Any]) -> bool:
+    """Whether neither object has the key of a member that is needed in none."""
+    return member.place.needed_when is None and member.key not in raw and member.key not in before
 
 
 def build_document_schema(name: str, version: int, kind: type) -> Schema:

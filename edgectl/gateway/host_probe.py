@@ -9,7 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from edgectl.agent.link import protocol
-from edgectl.dataclass import dataclass
+from edgectl.dataclass import dataclass, replace_fields
 from edgectl.errors import HostError
 from edgectl.gateway.fanout import MAX_PARALLEL_HOSTS, HostAnswer, HostReply, ask_all, fan_out
 from edgectl.gateway.latency import Latencies, decode_latencies, join_latencies
@@ -242,7 +242,7 @@ def _decode_reading(
 ) -> DecodedProbe:
     came_at = context.clock() - (time.monotonic() - reading.came_at)
     reply = HostReply(host=host, document=reading.document, seconds=0.0)
-    return _decode_reply(reply, dataclasses.replace(context, clock=lambda: came_at), known)
+    return _decode_reply(reply, replace_fields(context, clock=lambda: came_at), known)
 
 
 def _build_request(host: Host, context: _ProbeContext) -> dict[str, object]:
@@ -275,9 +275,8 @@ def _decode_reply(
     host, document = reply.host, reply.document
     if context.lease is not None:
         context.lease.take_reply(host.name, document.get("lease"))
-    before = None if known is None else known[1]
     probe = decode_probe(document, host, None if known is None else (known[0], known[1].reply))
-    known_sample = None if before is None else (before.reply, before.sample)
+    known_sample = None if known is None else (known[0], known[1].reply, known[1].sample)
     return DecodedProbe(
         reply=probe,
         sample=build_host_sample(probe, document, _find_reply_context(host, context), known_sample),
@@ -409,7 +408,7 @@ def _finalize_sample(answer: HostAnswer[DecodedProbe], done: frozenset[str], now
     if not sample.ok:
         return sample
     age = round(sample.sample_age_s + now - answer.ended, 3)
-    return apply_done_tasks(dataclasses.replace(sample, sample_age_s=age), done)
+    return apply_done_tasks(replace_fields(sample, sample_age_s=age), done)
 
 
 def _find_reply_context(host: Host, context: _ProbeContext) -> ReplyContext:
@@ -418,7 +417,7 @@ def _find_reply_context(host: Host, context: _ProbeContext) -> ReplyContext:
     if readings is None:
         return _build_reply_context(host, context)
     kept = readings.keep_context(host.name, partial(_build_reply_context, host, context))
-    return dataclasses.replace(kept, answered_at=context.clock())
+    return replace_fields(kept, answered_at=context.clock())
 
 
 def _build_reply_context(host: Host, context: _ProbeContext) -> ReplyContext:

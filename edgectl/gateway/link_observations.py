@@ -19,31 +19,63 @@ class LinkEnds:
     peers: Mapping[str, PeerReply] = field(default_factory=dict)
 
 
-# By (edge, robot): the two ends, and what was made of them.
-JoinedLinks = dict[tuple[str, str], tuple[LinkReply, PeerReply | None, LinkObservation]]
+_Pair = tuple[str, str]
+
+
+@dataclass(slots=True, eq=False)
+class JoinedLinks:
+    """The links that were joined last, to take over those whose ends are the very same.
+
+    ``pairs``: the two ends of a link, and what was made of them; ``edges``: the links of an edge, and what
+    was made of all; ``peers``: of every host.
+    """
+
+    pairs: dict[_Pair, tuple[LinkReply, PeerReply | None, LinkObservation]] = field(default_factory=dict)
+    edges: dict[str, tuple[Mapping[str, LinkReply], dict[_Pair, LinkObservation]]] = field(
+        default_factory=dict
+    )
+    peers: dict[str, Mapping[str, PeerReply]] = field(default_factory=dict)
 
 
 def join_link_ends(
     ends: Mapping[str, LinkEnds],
-    partial: Set[tuple[str, str]] = frozenset(),
+    partial: Set[_Pair] = frozenset(),
     joined: JoinedLinks | None = None,
-) -> dict[tuple[str, str], LinkObservation]:
+) -> dict[_Pair, LinkObservation]:
     """The links by (edge, robot), from the reports of the hosts by name.
 
     Traffic that is seen only in part (``partial``) does not tell what a link carries. ``joined``: links that
     were made before, of which those are taken whose ends are the very same, and which is kept up.
     """
-    joined = {} if joined is None else joined
-    found = {}
+    joined = JoinedLinks() if joined is None else joined
+    peers = {name: each.peers for name, each in ends.items()}
+    names = peers.keys() | joined.peers.keys()
+    changed = {name for name in names if peers.get(name) is not joined.peers.get(name)}
+    joined.peers = peers
+    found: dict[_Pair, LinkObservation] = {}
     for edge, each in ends.items():
-        for robot, link in each.links.items():
-            pair, peer = (edge, robot), ends[robot].peers.get(edge) if robot in ends else None
-            was = joined.get(pair)
-            if was is None or was[0] is not link or was[1] is not peer:
-                was = joined[pair] = link, peer, _join_link(link, peer)
-            found[pair] = was[2]
+        known = joined.edges.get(edge)
+        if known is None or known[0] is not each.links or not changed.isdisjoint(each.links):
+            known = joined.edges[edge] = each.links, _join_edge(edge, each.links, peers, joined)
+        found.update(known[1])
     for pair in partial & found.keys():
         found[pair] = replace(found[pair], carries_bytes_per_s=None)
+    return found
+
+
+def _join_edge(
+    edge: str,
+    links: Mapping[str, LinkReply],
+    peers: Mapping[str, Mapping[str, PeerReply]],
+    joined: JoinedLinks,
+) -> dict[_Pair, LinkObservation]:
+    found = {}
+    for robot, link in links.items():
+        pair, peer = (edge, robot), peers[robot].get(edge) if robot in peers else None
+        was = joined.pairs.get(pair)
+        if was is None or was[0] is not link or was[1] is not peer:
+            was = joined.pairs[pair] = link, peer, _join_link(link, peer)
+        found[pair] = was[2]
     return found
 
 

@@ -73,8 +73,8 @@ class ReplyContext:
     robots_of: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
-# The reply before, and the sample that was made of it.
-KnownSample = tuple[ProbeReply, HostSample]
+# The document and the reply before, and the sample that was made of them.
+KnownSample = tuple[ReplyDocument, ProbeReply, HostSample]
 
 
 def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSample:
@@ -106,7 +106,7 @@ def build_host_sample(
     reply: ProbeReply, document: ReplyDocument, context: ReplyContext, known: KnownSample | None = None
 ) -> HostSample:
     """As `decode_host_sample`, of a ``document`` that is decoded; ``known``: the sample before, in the same
-    context, of which links may be as they were.
+    context, of which usages and links may be as they were.
 
     Raises:
         ReplyError: as `decode_host_sample`.
@@ -122,7 +122,7 @@ def build_host_sample(
         status=HostStatus.OK,
         sample_age_s=reply.sample_age_s,
         resident=reply.resident,
-        usage=_decode_usages(document, context.host, tasks),
+        usage=_decode_usages(document, context.host, tasks, known),
         counters=reply.counters,
         engines=reply.engines,
         links=_build_links(reply, context, tasks, known) if context.host.role is Role.EDGE else {},
@@ -175,12 +175,29 @@ def _select_alive(tasks: Mapping[str, TaskSample]) -> list[TaskSample]:
 
 
 def _decode_usages(
-    document: ReplyDocument, host: Host, tasks: Mapping[str, TaskSample]
+    document: ReplyDocument, host: Host, tasks: Mapping[str, TaskSample], known: KnownSample | None
 ) -> dict[str, ResourceUsage]:
+    same = {} if known is None else _select_same_usages(document, host, tasks, known)
     return {
-        resource.name: _decode_usage(document, host, tasks, resource)
+        resource.name: same[resource.name]
+        if resource.name in same
+        else _decode_usage(document, host, tasks, resource)
         for resource in HOST_RESOURCES
         if not resource.optional or _is_known(document, host, resource)
+    }
+
+
+def _select_same_usages(
+    document: ReplyDocument, host: Host, tasks: Mapping[str, TaskSample], known: KnownSample
+) -> Mapping[str, ResourceUsage]:
+    """The usages of the sample before of which nothing is said anew, if no task had a part in them."""
+    before, reply, sample = known
+    if reply.checks or (host.is_slice and (_select_alive(tasks) or _select_alive(sample.instances))):
+        return {}
+    return {
+        name: usage
+        for name, usage in sample.usage.items()
+        if (found := document.get(name)) is not None and found is before.get(name)
     }
 
 
@@ -233,7 +250,7 @@ def _select_same_links(
     reply: ProbeReply, context: ReplyContext, tasks: Mapping[str, TaskSample], known: KnownSample
 ) -> dict[str, LinkSample]:
     """The links of the sample before of which nothing is said anew, if no task had a part in them."""
-    before, sample = known
+    _, before, sample = known
     shared = (*_select_alive(tasks), *_select_alive(sample.instances))
     if before.checks or any(context.host.is_slice or task.partial for task in shared):
         return {}

@@ -38,7 +38,7 @@ class FleetReadings(Generic[Value]):
         self._resolved_at = 0.0
         self._requests: dict[str, Request] = {}
         self._contexts: dict[str, ReplyContext] = {}
-        self.joined: JoinedLinks = {}
+        self.joined = JoinedLinks()
 
     def keep_addresses(self, resolve: Callable[[], Addresses]) -> Addresses:
         """What ``resolve`` finds, for as long as no host is asked anew: it takes a thread for each name."""

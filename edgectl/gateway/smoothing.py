@@ -9,6 +9,7 @@ time.
 import dataclasses
 from collections.abc import Mapping
 
+from edgectl.dataclass import replace_fields
 from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostSample, LinkSample, ResourceUsage, Snapshot, TaskSample
 
@@ -47,7 +48,7 @@ def _smooth_host(before: HostSample | None, now: HostSample, weight: float) -> H
         else found
         for name, found in now.usage.items()
     }
-    return dataclasses.replace(
+    return replace_fields(
         now,
         usage=usage,
         links=_smooth_links(before.links, now.links, (was, ours, averaged), weight),

@@ -174,6 +174,10 @@ def apply_live_capacities(
     snapshot: Snapshot, histories: Histories, observations: Observations, now: float
 ) -> Snapshot:
     """``snapshot`` with the live capacity of each link where one is known."""
+    limited = {edge for (edge, _), each in histories.items() if each.readings or each.cut_off}
+    limited |= {edge for (edge, _), seen in observations.items() if seen.radio_bytes_per_s}
+    if not limited:
+        return snapshot
 
     def apply(edge: str, sample: HostSample) -> HostSample:
         links = {
@@ -187,7 +191,10 @@ def apply_live_capacities(
         }
         return replace(sample, links=links) if links != sample.links else sample
 
-    return replace(snapshot, hosts={name: apply(name, sample) for name, sample in snapshot.hosts.items()})
+    hosts = {
+        name: apply(name, sample) if name in limited else sample for name, sample in snapshot.hosts.items()
+    }
+    return replace(snapshot, hosts=hosts)
 
 
 def compute_live_link(link: LinkSample, known: LinkHistory, radio: float | None, now: float) -> LinkSample:

@@ -6,7 +6,8 @@ journal.
 """
 
 import sqlite3
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
@@ -24,6 +25,7 @@ from edgectl.state import store_rows as rows
 from edgectl.state.json_files import Warn, ignore_warning
 from edgectl.state.store_connection import StoreConnection
 from edgectl.state.store_file import HISTORY_FILE_NAME
+from edgectl.state.store_memory import StoreMemory, recall
 from edgectl.state.store_rows import Point, RowMapper
 
 _DAY_S = 86400.0
@@ -47,6 +49,7 @@ class Store:
     def __init__(self, path: Path, warn: Warn, retention: Retention) -> None:
         self._file = StoreConnection(path, warn)
         self._retention = retention
+        self._memory: StoreMemory | None = None
 
     @classmethod
     def open(
@@ -69,6 +72,11 @@ class Store:
         """Close the file."""
         self._file.close()
 
+    def _write(self, act: Callable[[sqlite3.Connection], None]) -> bool:
+        """Write within a transaction; what is known of the file may be wrong from then on."""
+        self._memory = None
+        return self._file.write(act)
+
     # -- writing -----------------------------------------------------------------------------------
 
     def record_snapshot(
@@ -79,17 +87,21 @@ class Store:
         ``changing``: another edgectl is changing the fleet; starts and stops of tasks are left to its own
         record. ``unfinished``: tasks that an apply was changing when it was interrupted.
         """
+        before, left = self._memory, list[StoreMemory]()
 
         def record(connection: sqlite3.Connection) -> None:
-            store_write.write_samples(connection, snapshot)
-            known = store_write.load_known_fleet(connection)
+            left.clear()
+            memory = recall(connection, before)
+            store_write.write_samples(connection, snapshot, memory.links)
             events, after = store_events.detect_events(
-                known, snapshot, changing=changing, unfinished=unfinished
+                memory.fleet, snapshot, changing=changing, unfinished=unfinished
             )
             store_write.write_events(connection, events)
-            store_write.write_known_fleet(connection, known, after)
+            if store_write.write_known_fleet(connection, memory.fleet, after):
+                left.append(replace(memory, fleet=store_events.sort_known_fleet(after)))
 
-        self._file.write(record)
+        if self._write(record) and left:
+            self._memory = left[0]
 
     def record_plan(self, plan: Plan) -> None:
         """Record a plan, with an event unless the plan before it had the same actions."""
@@ -102,7 +114,7 @@ class Store:
             store_write.write_new_events(connection, store_action_events.build_unplaced_events(plan))
             store_write.write_new_events(connection, store_action_events.build_overuse_events(plan))
 
-        self._file.write(record)
+        self._write(record)
 
     def record_results(self, plan: Plan, results: Results, at: float) -> None:  # noqa: ARG002
         """Record the results of an apply that ended at ``at`` (s since 1970), and its events."""
@@ -114,12 +126,12 @@ class Store:
             store_write.write_new_events(connection, events)
             store_write.write_known_fleet(connection, known, after)
 
-        self._file.write(record)
+        self._write(record)
 
     def record_events(self, events: Iterable[Event]) -> None:
         """Record given events."""
         found = list(events)
-        self._file.write(lambda connection: store_write.write_events(connection, found))
+        self._write(lambda connection: store_write.write_events(connection, found))
 
     # -- reading -----------------------------------------------------------------------------------
 
@@ -290,19 +302,19 @@ class Store:
         large.
         """
         keep = self._retention
-        self._file.write(
+        self._write(
             lambda connection: store_prune.delete_expired(
                 connection, samples=now - keep.samples_s, records=now - keep.records_s
             )
         )
         self._file.run(lambda connection: store_prune.shrink_database(connection, keep.max_bytes), None)
-        self._file.write(lambda connection: store_prune.write_prune_time(connection, now))
+        self._write(lambda connection: store_prune.write_prune_time(connection, now))
 
     def is_prune_due(self, now: float) -> bool:
         """Whether an hour has passed since the last prune by any edgectl, or since the first call."""
         at = self._file.run(store_prune.read_prune_time, now)
         if at == 0.0:
-            self._file.write(lambda connection: store_prune.write_prune_time(connection, now))
+            self._write(lambda connection: store_prune.write_prune_time(connection, now))
         return at != 0.0 and abs(now - at) >= _PRUNE_EVERY_S
 
     # -- rows of a table ---------------------------------------------------------------------------

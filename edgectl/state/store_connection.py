@@ -63,10 +63,10 @@ class StoreConnection:
                 return default
         return default
 
-    def write(self, act: Callable[[sqlite3.Connection], None]) -> None:
-        """Run ``act`` in a transaction, whole or not at all; as ``run``."""
+    def write(self, act: Callable[[sqlite3.Connection], None]) -> bool:
+        """Run ``act`` in a transaction, whole or not at all, and return which; as ``run``."""
 
-        def within(connection: sqlite3.Connection) -> None:
+        def within(connection: sqlite3.Connection) -> bool:
             connection.execute("BEGIN IMMEDIATE")
             try:
                 act(connection)
@@ -75,8 +75,9 @@ class StoreConnection:
                 if connection.in_transaction:
                     connection.execute("ROLLBACK")
                 raise
+            return True
 
-        self.run(within, None)
+        return self.run(within, default=False)
 
     def close(self) -> None:
         """Close the file; the next use opens it again."""

@@ -60,6 +60,11 @@ class KnownFleet:
     tasks: Mapping[str, KnownTask] = field(default_factory=dict)
 
 
+def sort_known_fleet(fleet: KnownFleet) -> KnownFleet:
+    """``fleet`` as the file has it, by name: events of one moment are recorded in the order of the tasks."""
+    return KnownFleet(hosts=dict(sorted(fleet.hosts.items())), tasks=dict(sorted(fleet.tasks.items())))
+
+
 def detect_events(
     known: KnownFleet, snapshot: Snapshot, *, changing: bool = False, unfinished: Collection[str] = ()
 ) -> tuple[tuple[Event, ...], KnownFleet]:

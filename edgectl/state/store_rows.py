@@ -220,36 +220,20 @@ EVENTS = RowMapper(
 )
 
 
-def host_points_from_snapshot(snapshot: Snapshot) -> Iterable[HostPoint]:
-    """Every host of a snapshot."""
-    for name, sample in snapshot.hosts.items():
-        yield _build_host_point(snapshot.taken_at, name, sample)
+def host_rows_from_snapshot(snapshot: Snapshot) -> list[tuple[object, ...]]:
+    """A row of `HOSTS` for every host of a snapshot."""
+    return [_build_host_row(snapshot.taken_at, name, sample) for name, sample in snapshot.hosts.items()]
 
 
-def _build_host_point(at: float, name: str, sample: HostSample) -> HostPoint:
+def _build_host_row(at: float, name: str, sample: HostSample) -> tuple[object, ...]:
+    amounts: list[float | None] = []
+    for resource in HOST_RESOURCES:
+        usage = sample.usage.get(resource.name)
+        amounts += (None, None) if usage is None else (usage.capacity, usage.used)
     interfaces = sample.device.interfaces.values()
-    return HostPoint(
-        at=at,
-        host=name,
-        status=sample.status,
-        usage=sample.usage,
-        rx_bytes_per_s=sum(each.rx_bytes_per_s for each in interfaces) if interfaces else None,
-        tx_bytes_per_s=sum(each.tx_bytes_per_s for each in interfaces) if interfaces else None,
-    )
-
-
-def link_points_from_snapshot(snapshot: Snapshot) -> Iterable[LinkPoint]:
-    """Every link of a snapshot."""
-    for edge, sample in snapshot.hosts.items():
-        for robot, link in sample.links.items():
-            yield LinkPoint(
-                at=snapshot.taken_at,
-                edge=edge,
-                robot=robot,
-                capacity_bytes_per_s=link.capacity_bytes_per_s,
-                used_bytes_per_s=link.used_bytes_per_s,
-                rtt_ms=link.rtt_ms,
-            )
+    received = sum([each.rx_bytes_per_s for each in interfaces]) if interfaces else None
+    sent = sum([each.tx_bytes_per_s for each in interfaces]) if interfaces else None
+    return at, name, sample.status, *amounts, received, sent
 
 
 def task_points_from_snapshot(snapshot: Snapshot) -> Iterable[TaskPoint]:

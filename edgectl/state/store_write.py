@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from edgectl.model.event import Event, EventKind
 from edgectl.model.latency import list_latency_readings
 from edgectl.model.plan import Action, Plan
-from edgectl.model.point import TASK_AMOUNT_COLUMNS, LinkPoint, TaskPoint, get_columns
+from edgectl.model.point import TASK_AMOUNT_COLUMNS, TaskPoint, get_columns
 from edgectl.model.result import Results
 from edgectl.model.snapshot import HostStatus, Snapshot, TaskSample, TaskState
 from edgectl.state import store_rows as rows
@@ -22,42 +22,42 @@ _LASTING_KINDS = (EventKind.TASK_DEFERRED, EventKind.TASK_UNPLACED)
 _MAX_GONE_TASKS = 1000
 
 
-def write_samples(connection: sqlite3.Connection, snapshot: Snapshot) -> None:
-    """Insert all samples of ``snapshot``."""
-    _insert_rows(
-        connection,
-        "host_samples",
-        rows.HOSTS.names,
-        [rows.HOSTS.row(point) for point in rows.host_points_from_snapshot(snapshot)],
-    )
-    _write_link_samples(connection, list(rows.link_points_from_snapshot(snapshot)))
+LinkNumbers = dict[tuple[str, str], int]
+
+
+def write_samples(connection: sqlite3.Connection, snapshot: Snapshot, numbers: LinkNumbers) -> None:
+    """Insert all samples of ``snapshot``.
+
+    ``numbers``: as of `load_link_numbers`; those of new links are added.
+    """
+    _insert_rows(connection, "host_samples", rows.HOSTS.names, rows.host_rows_from_snapshot(snapshot))
+    _write_link_samples(connection, snapshot, numbers)
     _write_task_samples(connection, list(rows.task_points_from_snapshot(snapshot)))
     _write_metric_readings(connection, snapshot)
 
 
-def _write_link_samples(connection: sqlite3.Connection, points: Sequence[LinkPoint]) -> None:
-    known = _load_link_numbers(connection) if points else {}
-    new = [(point.edge, point.robot) for point in points if (point.edge, point.robot) not in known]
+def _write_link_samples(connection: sqlite3.Connection, snapshot: Snapshot, numbers: LinkNumbers) -> None:
+    found = [
+        ((edge, robot), link)
+        for edge, sample in snapshot.hosts.items()
+        for robot, link in sample.links.items()
+    ]
+    new = [pair for pair, _ in found if pair not in numbers]
     if new:
         connection.executemany("INSERT OR IGNORE INTO links (edge, robot) VALUES (?, ?)", new)
-        known = _load_link_numbers(connection)
+        numbers.update(load_link_numbers(connection))
+    at = snapshot.taken_at
     connection.executemany(
         "INSERT OR REPLACE INTO loads (link, at, capacity_bytes_per_s, used_bytes_per_s, rtt_ms)"
         " VALUES (?, ?, ?, ?, ?)",
         [
-            (
-                known[point.edge, point.robot],
-                point.at,
-                point.capacity_bytes_per_s,
-                point.used_bytes_per_s,
-                point.rtt_ms,
-            )
-            for point in points
+            (numbers[pair], at, link.capacity_bytes_per_s, link.used_bytes_per_s, link.rtt_ms)
+            for pair, link in found
         ],
     )
 
 
-def _load_link_numbers(connection: sqlite3.Connection) -> dict[tuple[str, str], int]:
+def load_link_numbers(connection: sqlite3.Connection) -> LinkNumbers:
     """The number of each link that has samples, by edge and robot."""
     return {
         (edge, robot): link for link, edge, robot in connection.execute("SELECT link, edge, robot FROM links")
@@ -230,8 +230,8 @@ def _decode_known_task(row: rows.Row) -> KnownTask:
     )
 
 
-def write_known_fleet(connection: sqlite3.Connection, before: KnownFleet, after: KnownFleet) -> None:
-    """Save the known state if it differs from ``before``."""
+def write_known_fleet(connection: sqlite3.Connection, before: KnownFleet, after: KnownFleet) -> bool:
+    """Save the known state if it differs from ``before``; whether all of it is known from now on."""
     hosts = [
         (
             name,
@@ -239,7 +239,7 @@ def write_known_fleet(connection: sqlite3.Connection, before: KnownFleet, after:
             each.since,
             each.status,
             each.boot_id,
-            json.dumps(dict(each.access_points), sort_keys=True),
+            json.dumps(dict(each.access_points), sort_keys=True) if each.access_points else "{}",
         )
         for name, each in after.hosts.items()
         if each is not before.hosts.get(name)
@@ -251,11 +251,12 @@ def write_known_fleet(connection: sqlite3.Connection, before: KnownFleet, after:
     ]
     _insert_rows(connection, "known_hosts", "host, at, since, status, boot_id, access_points", hosts)
     _insert_rows(connection, "known_tasks", "task, at, host, state, instance, restarts", tasks)
-    connection.execute(
+    gone = connection.execute(
         "DELETE FROM known_tasks WHERE host IS NULL AND task NOT IN"
         " (SELECT task FROM known_tasks WHERE host IS NULL ORDER BY at DESC LIMIT ?)",
         (_MAX_GONE_TASKS,),
     )
+    return gone.rowcount == 0
 
 
 def _insert_rows(

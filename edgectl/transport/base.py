@@ -145,8 +145,16 @@ class RestingExchange(OpenExchange, Protocol):
         """Wait, at most so long, for something to read, or for the end."""
         ...
 
+    def wake(self) -> None:
+        """End an `await_arrival`, or the next one, though nothing may have arrived."""
+        ...
+
     def has_arrived(self) -> bool:
         """Whether something has arrived since the last `read`, and reading it waits for nothing."""
+        ...
+
+    def find_repeat_s(self) -> float | None:
+        """Seconds after which the line repeats what was lost; None where nobody knows."""
         ...
 
 

@@ -37,7 +37,7 @@ from edgectl.transport.base import (
     RestingExchange,
     Session,
 )
-from edgectl.transport.pulses import keep_pulsing
+from edgectl.transport.pulses import compute_pulse_s, keep_pulsing
 from edgectl.transport.readings import ReadingFeed, ReadingFeeds
 
 # Seconds. Requests farther apart are cheaper as calls: to keep an agent costs a pulse each 0.6 s.
@@ -50,6 +50,8 @@ HELLO_S = 10.0
 PATIENCE_S = 3.0
 # From the beginning of one to that of the next: an agent that ends again and again costs more than it saves.
 REST_S = 10.0
+# At least so often its thread looks, though nobody wakes it.
+_LOOK_EACH_S = 60.0
 # Of an end of the conversation that waits for others.
 _PATIENCE_S = 0.2
 _JOIN_S = 2.0
@@ -107,7 +109,7 @@ class Conversation:
         self._numbers = itertools.count(1)
         # By operation: how many were refused in a row, and when a call of it ended since (s, monotonic).
         self._refused: dict[bytes, tuple[int, float]] = {}
-        self._used_at = time.monotonic()
+        self._used_at = self._looked_at = time.monotonic()
         self._lock, self._writing = threading.Lock(), threading.Lock()
         self._hearing, self._reader = threading.Lock(), frames.FrameReader(frames.HOST_WORDS)
         self._pulsing: threading.Thread | None = None
@@ -278,17 +280,20 @@ class Conversation:
         while not self.is_over:
             pause = KEEP_S / 2
             if self._resting is not None:
-                # Whoever takes up what has come meanwhile must not wait for this thread.
-                self._resting.await_arrival(pause)
+                # Whoever takes up what has come meanwhile must not wait for this thread. While nobody does,
+                # the thread of the pulses wakes it.
+                self._resting.await_arrival(_LOOK_EACH_S)
                 pause = 0.0
             with self._hearing:
                 heard = self._hear_next(exchange, pause)
+            self._looked_at = time.monotonic()
             if not heard and self._is_idle():
                 return
 
     def _take_up(self) -> None:
         """Hear what has come, unless that may have to wait: then the thread will do so."""
         exchange = self._resting
+        self._looked_at = time.monotonic()
         if exchange is None or self.is_over or not exchange.has_arrived():
             return
         if self._hearing.acquire(blocking=False):
@@ -321,19 +326,26 @@ class Conversation:
             asked = (not (isinstance(each, ReadingFeed) and each.whole) for each in self._questions.values())
             self._resting.rest(resting=not any(asked))
 
-    def _pulse(self, exchange: OpenExchange) -> None:
-        """Send a pulse; where that may have to wait, from another thread, so that no other host waits.
+    def _pulse(self, exchange: OpenExchange) -> float:
+        """Send a pulse; where that may have to wait, from another thread, so that no other host waits. The
+        seconds until the next one.
 
         What is being written now is a pulse, too.
         """
         waits = self._pulsing is not None and self._pulsing.is_alive()
-        if waits or self.is_over or self._writing.locked():
-            return
-        if exchange.can_write():
-            self._say_pulse(exchange)
-            return
-        self._pulsing = threading.Thread(target=self._say_pulse, args=(exchange,), daemon=True)
-        self._pulsing.start()
+        if not (waits or self.is_over or self._writing.locked()):
+            waits = not exchange.can_write()
+            if waits:
+                self._pulsing = threading.Thread(target=self._say_pulse, args=(exchange,), daemon=True)
+                self._pulsing.start()
+            else:
+                self._say_pulse(exchange)
+        if self._resting is None:
+            return compute_pulse_s(None)
+        if waits or time.monotonic() - self._looked_at >= KEEP_S / 2:
+            # Nobody takes up what the host said, or it would have to wait.
+            self._resting.wake()
+        return compute_pulse_s(self._resting.find_repeat_s())
 
     def _say_pulse(self, exchange: OpenExchange) -> None:
         # Whatever goes wrong has ended the conversation.

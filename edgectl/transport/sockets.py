@@ -8,6 +8,7 @@ import queue
 import select
 import signal
 import socket
+import struct
 import subprocess
 import threading
 import time
@@ -38,6 +39,9 @@ MAX_PACKET_BYTES = 1 << 19
 _CHUNK_BYTES = 1 << 16
 _QUICKACK = getattr(socket, "TCP_QUICKACK", None)
 _USER_TIMEOUT = getattr(socket, "TCP_USER_TIMEOUT", None)
+# In the kernel's account of a connection (linux/tcp.h): the time after which it repeats what was lost, us.
+_INFO = getattr(socket, "TCP_INFO", None)
+_REPEAT_AT = struct.Struct("=8xI")
 
 
 class Allowance:
@@ -258,6 +262,16 @@ def can_write_to(fd: int) -> bool:
     poll = select.poll()
     poll.register(fd, select.POLLOUT)
     return bool(poll.poll(0))
+
+
+def find_repeat_s(line: object) -> float | None:
+    """Seconds after which the kernel repeats what a TCP connection loses; None where nobody knows."""
+    if _INFO is None or not isinstance(line, socket.socket) or line.family == socket.AF_UNIX:
+        return None
+    try:
+        return int(_REPEAT_AT.unpack(line.getsockopt(socket.IPPROTO_TCP, _INFO, _REPEAT_AT.size))[0]) / 1e6
+    except (OSError, struct.error):
+        return None
 
 
 def hang_up(line: object) -> None:

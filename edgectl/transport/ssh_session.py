@@ -16,7 +16,14 @@ import paramiko
 
 from edgectl.errors import ConnectError, DeadlineError, HostError, ReplyError
 from edgectl.transport.base import Reply
-from edgectl.transport.sockets import MAX_LOGIN_BYTES, Line, can_write_to, hang_up, watchdog
+from edgectl.transport.sockets import (
+    MAX_LOGIN_BYTES,
+    Line,
+    can_write_to,
+    find_repeat_s,
+    hang_up,
+    watchdog,
+)
 from edgectl.transport.ssh_errors import translate_ssh_error
 
 # A connection that does not even let a channel be closed is cut this long after the deadline, seconds.
@@ -159,6 +166,10 @@ class SshSession:
         """Whether the line takes a few bytes without a wait; behind a jump host nobody knows."""
         return isinstance(self._line, socket.socket) and can_write_to(self._line.fileno())
 
+    def find_repeat_s(self) -> float | None:
+        """Seconds after which the line repeats what was lost; None where nobody knows."""
+        return find_repeat_s(self._line)
+
     def cut(self) -> None:
         """End the connection at once, from any thread."""
         hang_up(self._line)
@@ -249,6 +260,10 @@ class _Arrivals(threading.Event):
         if not self.resting or self._channel.eof_received or self._channel.closed:
             super().set()
 
+    def wake(self) -> None:
+        """Wake whoever waits for it, though nothing may have come."""
+        super().set()
+
 
 class SshExchange:
     """A channel whose standard input is open (see `Exchange`)."""
@@ -268,7 +283,11 @@ class SshExchange:
         """As ``RestingExchange.rest``."""
         self._arrived.resting = resting
         if not resting and self._arrived.is_new:
-            self._arrived.set()
+            self.wake()
+
+    def wake(self) -> None:
+        """As ``RestingExchange.wake``."""
+        self._arrived.wake()
 
     def await_arrival(self, seconds: float) -> None:
         """As ``RestingExchange.await_arrival``."""
@@ -277,6 +296,10 @@ class SshExchange:
     def has_arrived(self) -> bool:
         """As ``RestingExchange.has_arrived``: a read may have to tell the server that there is room again."""
         return self._arrived.is_new and self.can_write()
+
+    def find_repeat_s(self) -> float | None:
+        """As ``RestingExchange.find_repeat_s``."""
+        return self._session.find_repeat_s()
 
     def read(self, *, timeout: float) -> bytes:
         """As ``Exchange.read``."""

@@ -58,12 +58,11 @@ def measure_live_links(
                 )
         seen = apply_live_capacities(snapshot, known, observations, snapshot.taken_at)
     # Links of hosts that did not answer now are kept.
-    others = {
-        pair: history
-        for pair, history in stored.items()
-        if pair not in known and all(name in fleet.inventory.hosts for name in pair)
-    }
-    _save(fleet, stored, {pair: each for pair, each in {**others, **known}.items() if each != _NOTHING})
+    gone = {pair for pair in stored if pair not in known and not fleet.inventory.hosts.keys() >= {*pair}}
+    changed = {pair: each for pair, each in known.items() if each is not stored.get(pair, _NOTHING)}
+    if gone or changed:
+        kept = {pair: each for pair, each in {**stored, **changed}.items() if pair not in gone}
+        _save(fleet, stored, {pair: each for pair, each in kept.items() if each != _NOTHING})
     return seen
 
 
@@ -85,7 +84,8 @@ def _record_cut_links(
     events = [
         _build_link_event(snapshot.taken_at, edge, robot, cut_off=link.cut_off)
         for (edge, robot), link in known.items()
-        if link.cut_off != stored.get((edge, robot), _NOTHING).cut_off
+        if (before := stored.get((edge, robot), _NOTHING)) is not link
+        and link.cut_off != before.cut_off
         and robot in snapshot.hosts
         and snapshot.hosts[robot].ok
     ]

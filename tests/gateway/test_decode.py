@@ -266,14 +266,21 @@ def test_links_whose_ends_say_the_same_are_joined_once() -> None:
         reply = decode_probe(a_document(host=host.name, **fields), host)
         return LinkEnds(links=reply.links, peers=reply.peers)
 
-    robot, pair, joined = a_robot("robot1"), ("edge1", "robot1"), cast("JoinedLinks", {})
+    robot, pair, joined = a_robot("robot1"), ("edge1", "robot1"), JoinedLinks()
     ends = {
         "edge2": read(an_edge("edge2"), links={"robot1": {"carries_bytes_per_s": 1e6}}),
         "edge1": read(an_edge("edge1"), links={"robot1": {"rtt_ms": 1.0}}),
         "robot1": read(robot, links={}, peers={"edge1": {"radio_bytes_per_s": 5e6}}),
     }
     first = join_link_ends(ends, joined=joined)
+    edges = dict(joined.edges)
     assert all(join_link_ends(ends, joined=joined)[each] is first[each] for each in first)
+    assert all(joined.edges[name] is edges[name] for name in ("edge1", "edge2"))
+    ends["edge2"] = read(an_edge("edge2"), links={"robot1": {"carries_bytes_per_s": 2e6}})
+    assert join_link_ends(ends, joined=joined) == join_link_ends(ends)
+    assert [joined.edges[name] is edges[name] for name in ("edge1", "edge2")] == [True, False]
+    ends["edge2"] = read(an_edge("edge2"), links={"robot1": {"carries_bytes_per_s": 1e6}})
+    first = join_link_ends(ends, joined=joined)
     # What is partly seen in one cycle is whole in the next one.
     assert join_link_ends(ends, {("edge2", "robot1")}, joined)["edge2", "robot1"].carries_bytes_per_s is None
     ends["robot1"] = read(robot, links={}, peers={"edge1": {"radio_bytes_per_s": 2e6}})
@@ -551,14 +558,15 @@ def test_an_entry_that_is_repeated_is_not_decoded_again() -> None:
 @pytest.mark.parametrize("host", [an_edge("edge1"), SLICE], ids=["machine", "slice"])
 def test_a_sample_made_of_the_one_before_is_as_if_it_were_made_anew(host: Host) -> None:
     """Whatever of links, interfaces, tasks and checks has changed meanwhile, in which order ever."""
-    draw, kept = random.Random(7), 0
+    draw, kept, usages = random.Random(7), 0, 0
     robots = {name: {"rx_bytes_per_s": 1e3, "interface": "eth0"} for name in ("robot3", "robot2", "robot1")}
     context = ReplyContext(
         host=host, answered_at=NOW, robots=("robot1", "robot2", "robot3"), declared={"robot2": 5e6},
         robots_of={"slam": ("robot1",)}, checked=frozenset({"slam"}),
     )  # fmt: skip
     tasks: list[dict[str, object]] = [{}, {}, {"slam": a_task()}, {"slam": a_task(partial="udp unseen")}]
-    document, known = a_document(links=robots, tasks={}), None
+    document = a_document(links=robots, tasks={})
+    known: tuple[Document, ProbeReply, HostSample] | None = None
     for _ in range(300):
         document = dict(document)
         name = draw.choice(list(robots))
@@ -574,15 +582,19 @@ def test_a_sample_made_of_the_one_before_is_as_if_it_were_made_anew(host: Host) 
             document["interfaces"] = {draw.choice(["eth0", "eth1"]): nic}
         if draw.random() < 0.3:
             document["tasks"] = draw.choice(tasks)
+        if draw.random() < 0.5:
+            document["cpu"] = {"cores": 4, "used_cores": draw.random()}
         if draw.random() < 0.2:
             document["checks"] = draw.choice([{}, {"slam": {"exit": 0}}])
         before = None if known is None else (known[0], known[1])
         reply = decode_probe(document, host, before)
-        sample = build_host_sample(reply, document, context, None if known is None else known[1:])
+        sample = build_host_sample(reply, document, context, known)
         assert sample == build_host_sample(reply, document, context)
-        kept += any(known[2].links[name] is link for name, link in sample.links.items()) if known else 0
+        if known is not None:
+            kept += any(known[2].links[name] is link for name, link in sample.links.items())
+            usages += any(known[2].usage[name] is usage for name, usage in sample.usage.items())
         known = (document, reply, sample)
-    assert kept > 20
+    assert min(kept, usages) > 20
 
 
 def decode_or_refuse(document: Document, host: Host, known: tuple[Document, ProbeReply] | None) -> object:

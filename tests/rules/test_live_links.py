@@ -45,6 +45,22 @@ def live(
     return compute_live_link(link, known, radio, now).capacity_bytes_per_s
 
 
+def test_only_edges_with_a_reading_a_cut_or_a_radio_are_looked_at() -> None:
+    """As many links are computed as such an edge has; the samples of the others are the very same."""
+    edges = {f"edge{n}": a_sample(links={"robot1": DECLARED, "robot2": DECLARED}) for n in (4, 3, 2, 1)}
+    seen = replace(a_snapshot(), hosts=edges)
+    assert apply_live_capacities(seen, {("edge1", "robot1"): LinkHistory(answered=True)}, {}, 0.0) is seen
+    histories = {("edge3", "robot1"): carry(NEW, 1e6), ("edge2", "robot2"): replace(NEW, cut_off=True)}
+    radio = {("edge1", "robot1"): LinkObservation(radio_bytes_per_s=2e6)}
+    found = apply_live_capacities(seen, histories, radio, 0.0).hosts
+    assert list(found) == list(edges)
+    assert [name for name in edges if found[name] is edges[name]] == ["edge4"]
+    rates = {
+        name: [link.capacity_bytes_per_s for link in each.links.values()] for name, each in found.items()
+    }
+    assert rates == {"edge4": [6e6, 6e6], "edge3": [1e6, 6e6], "edge2": [6e6, 0.0], "edge1": [2e6, 6e6]}
+
+
 def test_the_mean_of_the_last_two_readings_lowers_the_declared_capacity() -> None:
     """2 alone: 2. Then 3: 2.5. Then 1: (3 + 1) / 2 = 2. Then 1 again: 1. Then 13: 7, but not above the declared 6."""
     known, found = NEW, []

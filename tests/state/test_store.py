@@ -3,6 +3,7 @@
 
 import contextlib
 import dataclasses
+import random
 import sqlite3
 import stat
 from pathlib import Path
@@ -16,6 +17,7 @@ from edgectl.model.snapshot import (
     HostStatus,
     InterfaceSample,
     LinkSample,
+    Snapshot,
     TaskSample,
     TaskState,
 )
@@ -107,6 +109,76 @@ def test_the_same_snapshot_again_changes_nothing(tmp_path: Path) -> None:
         store.record_snapshot(snapshot)
         assert (store.host_points(), store.task_points(), store.events()) == before
         assert [event.kind for event in store.events()] == [EventKind.HOST_LOST]
+
+
+def draw_snapshot(draw: random.Random, at: float) -> Snapshot:
+    """Hosts, links and tasks that come, go, and change."""
+    hosts = {}
+    for name in draw.sample(["edge3", "edge1", "edge2"], draw.randint(1, 3)):
+        links = {
+            robot: LinkSample(capacity_bytes_per_s=1e7, used_bytes_per_s=draw.random(), rtt_ms=None)
+            for robot in draw.sample(["robot2", "robot1"], draw.randint(0, 2))
+        }
+        tasks = {
+            task: a_task(instance=draw.choice(["i1", "i2"]))
+            for task in draw.sample(["slam", "nav"], draw.randint(0, 2))
+        }
+        nic = InterfaceSample(
+            rx_bytes_per_s=1.0, tx_bytes_per_s=2.0, access_point=draw.choice(["", "a", "b"])
+        )
+        device = DeviceSample(boot_id=draw.choice(["b1", "b2"]), interfaces={"wlan0": nic})
+        sample = a_sample(used=draw.random(), links=links, tasks=tasks)
+        sample = dataclasses.replace(sample, device=device)
+        hosts[name] = draw.choice([sample, sample, silent()])
+    return dataclasses.replace(a_snapshot(taken_at=at), hosts=hosts)
+
+
+def dump_rows(folder: Path) -> dict[str, list[tuple[object, ...]]]:
+    with contextlib.closing(sqlite3.connect(folder / "history.db")) as connection:
+        names = [
+            name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
+        ]
+        return {name: list(connection.execute(f"SELECT * FROM {name}")) for name in sorted(names)}
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_a_store_remembers_is_what_it_would_read(seed: int, tmp_path: Path) -> None:
+    """Also where another process writes, removes what is old, or the file is replaced in between."""
+    draw, at = random.Random(seed), NOW
+    short = Retention(samples_s=20.0, records_s=30.0)
+    folders = [tmp_path / "kept", tmp_path / "anew"]
+    for folder in folders:
+        folder.mkdir()
+    with Store.open(folders[0], retention=short) as kept:
+        for _ in range(30):
+            at += draw.choice([0.0, 1.0, 1.0, 40.0])
+            snapshot = draw_snapshot(draw, at)
+            other = draw_snapshot(draw, at + 0.5) if draw.random() < 0.2 else None
+            act = draw.choice(["", "", "", "prune", "replace"])
+            for folder in folders:
+                if act == "replace":
+                    for path in folder.glob("history.db*"):
+                        path.unlink()
+                with Store.open(folder, retention=short) as fresh:
+                    (kept if folder is folders[0] else fresh).record_snapshot(snapshot)
+                    if other is not None:
+                        fresh.record_snapshot(other)
+                    if act == "prune":
+                        (fresh if folder is folders[1] or draw.random() < 0.5 else kept).prune(at)
+            assert dump_rows(folders[0]) == dump_rows(folders[1])
+
+
+def test_a_store_reads_nothing_again_that_it_has_written(tmp_path: Path) -> None:
+    link = LinkSample(capacity_bytes_per_s=1e7, used_bytes_per_s=0.0)
+    asked: list[str] = []
+    with Store.open(tmp_path) as store:
+        for second in range(3):
+            store._file.use().set_trace_callback(asked.append)
+            del asked[:]
+            edge = a_sample(links={"robot2": link, "robot1": link}, tasks={"slam": a_task()})
+            store.record_snapshot(a_snapshot(taken_at=NOW + second, edge2=edge, edge1=edge))
+            reads = [each for each in asked if each.startswith("SELECT")]
+            assert len(reads) == (4 if second == 0 else 0), reads
 
 
 def test_the_files_are_private(tmp_path: Path) -> None:

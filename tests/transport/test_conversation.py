@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Requests over an agent that stays, on real hosts: the same replies, and a call of its own for all that fails."""
 
+import itertools
 import os
 import queue
 import signal
@@ -20,7 +21,7 @@ from edgectl.agent.measure import proc
 from edgectl.errors import ConnectError, DeadlineError
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.inventory import Connection, Host, Role
-from edgectl.transport import conversation
+from edgectl.transport import conversation, pulses
 from edgectl.transport.agent_client import (
     build_agent_command,
     build_packet,
@@ -33,6 +34,7 @@ from edgectl.transport.conversation import ConversingSession
 from edgectl.transport.fake import frame_reply, unpack_request
 from edgectl.transport.fleet_transport import FleetTransport
 from edgectl.transport.local import LocalExchange
+from edgectl.transport.readings import ReadingFeed
 from edgectl.usecases import fleet as usecases
 from edgectl.usecases.probe import probe_fleet
 from edgectl.usecases.scrape import keep_sessions_open
@@ -416,21 +418,40 @@ class ScriptedExchange:
 
 
 class RestingScript(ScriptedExchange):
-    """The same on a line whose reader may rest; ``rested``: what it was told."""
+    """The same on a line whose reader may rest; ``rested``: what it was told; ``awoke``: how often its reader
+    did. It repeats what it loses after ``repeat_s``.
+    """
 
     arrived_at = 0.0
+    repeat_s: float | None = None
 
     def __init__(
         self, answer: Callable[[str, int, bytes], bytes | None], marker: str, is_free: Callable[[], bool]
     ) -> None:
         super().__init__(answer, marker, is_free)
-        self.rested: list[bool] = []
+        self.rested, self.awoke = [False], 0
+        self._woken = threading.Event()
 
     def rest(self, *, resting: bool) -> None:
         self.rested.append(resting)
 
     def await_arrival(self, seconds: float) -> None:
-        until(lambda: not self._said.empty(), every=0.01)
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline and not self._woken.wait(0.01):
+            if not self.rested[-1] and not self._said.empty():
+                break
+        self._woken.clear()
+        self.awoke += 1
+
+    def wake(self) -> None:
+        self._woken.set()
+
+    def finish(self, data: bytes, *, timeout: float) -> None:
+        super().finish(data, timeout=timeout)
+        self.wake()
+
+    def find_repeat_s(self) -> float | None:
+        return self.repeat_s
 
     def has_arrived(self) -> bool:
         return not self._said.empty()
@@ -606,6 +627,62 @@ def test_a_line_is_watched_closely_only_while_somebody_waits_for_it() -> None:
         (exchange,) = scripted.opened
         assert isinstance(exchange, RestingScript)
         assert exchange.rested[-4:] == [False, True, False, True]
+
+
+READINGS = build_packet({"op": "readings", "fleet": "lab", "host": "edge1"}, "0" * 32, 5.0)
+
+
+def answer_with_readings(word: str, number: int, _body: bytes) -> bytes:
+    if word != frames.ASK:
+        return b""
+    return frames.build_frame(frames.OUTPUT, number, frame_reply("0" * 32, {"v": 1}))
+
+
+def test_a_reader_sleeps_on_while_its_readings_are_taken_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And wakes up for what nobody takes up."""
+    feeds: list[ReadingFeed] = []
+    scripted = ScriptedSession(answer_well, RestingScript)
+    with closing(ConversingSession(scripted, feeds.append)) as session:
+        until_shared(session)
+        scripted.opened[0]._answer = answer_with_readings
+        session.run(build_agent_command("python3"), READINGS, timeout=ANSWERS_S, limit=1000)
+        monkeypatch.setattr(conversation, "KEEP_S", 1.0)
+        (exchange,), (feed,) = scripted.opened, feeds
+        assert isinstance(exchange, RestingScript)
+        assert feed.reading is not None
+        assert exchange.rested[-1]
+        awoke, pulses, deadline = exchange.awoke, 0, time.monotonic() + 3 * frames.PULSE_S
+        while time.monotonic() < deadline:
+            pulses += feed.find_reading() is not None
+            time.sleep(0.02)
+        assert exchange.awoke <= awoke + 1
+        said = feed.reading.said_at
+        monkeypatch.setattr(RestingScript, "arrived_at", said + 1.0)
+        exchange._said.put(frames.build_frame(frames.OUTPUT, 2, frame_reply("0" * 32, {})))
+        until(lambda: exchange.awoke > awoke + 1)
+
+
+def test_a_near_host_gets_its_pulses_at_a_slower_pace() -> None:
+    """As often as the kernel can lose a pulse twice and the agent still hears it in time."""
+    assert pulses.compute_pulse_s(None) == pulses.compute_pulse_s(0.31) == frames.PULSE_S
+    assert pulses.compute_pulse_s(0.2) == pulses.compute_pulse_s(0.3) == pulses.NEAR_PULSE_S
+    # Lost, and its repetition too: 0.2 s, then 0.4 s later.
+    assert pulses.NEAR_PULSE_S + 0.2 + 0.4 < frames.SILENCE_S
+    times: dict[float | None, list[float]] = {0.2: [], 1.0: [], None: []}
+    with ExitStack() as stack:
+        for repeat_s, sent in times.items():
+
+            def send(repeat_s: float | None = repeat_s, sent: list[float] = sent) -> float:
+                sent.append(time.monotonic())
+                return pulses.compute_pulse_s(repeat_s)
+
+            stack.enter_context(pulses.keep_pulsing(send))
+        until(lambda: len(times[0.2]) >= 7)
+        near, far = (len(times[each]) for each in (0.2, 1.0))
+    assert len(times[None]) - far in (-1, 0, 1)
+    assert near < far
+    pauses = [after - before for before, after in itertools.pairwise(times[0.2][1:])]
+    assert all(pause >= pulses.NEAR_PULSE_S - 0.3 for pause in pauses)
 
 
 def run_start(session: ConversingSession) -> bytes:

@@ -98,6 +98,12 @@ def test_an_exchange_that_rests_wakes_nobody_until_it_ends(lab: Lab, transport: 
         exchange.await_arrival(BUSY_S)
         assert exchange.read(timeout=0.0) == b"three\n"
         exchange.rest(resting=True)
+        exchange.wake()
+        exchange.await_arrival(BUSY_S)
+        with pytest.raises(DeadlineError):
+            exchange.read(timeout=0.0)
+        # Of this machine: the least that the kernel waits is 0.2 s.
+        assert 0.2 <= (exchange.find_repeat_s() or 0.0) < 0.3
         exchange.finish(b"", timeout=BUSY_S)
         exchange.await_arrival(BUSY_S)
         assert exchange.read(timeout=0.0) == b""
