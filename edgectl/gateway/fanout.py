@@ -11,7 +11,7 @@ from typing import Generic, TypeVar
 from edgectl.dataclass import dataclass
 from edgectl.errors import HostError
 from edgectl.model.inventory import Host
-from edgectl.transport.agent_client import call_agent
+from edgectl.transport.agent_client import call_agent, prepare_requests
 from edgectl.transport.base import Transport
 
 Item = TypeVar("Item")
@@ -77,14 +77,19 @@ def ask_all(
         ended = time.monotonic()
         return HostAnswer(host=host, value=value, ended=ended, seconds=ended - began)
 
-    for _, answer in fan_out(ask, hosts, workers=max_hosts):
+    for _, answer in fan_out(ask, hosts, workers=max_hosts, meanwhile=prepare_requests):
         yield answer
 
 
 def fan_out(
-    function: Callable[[Item], Value], items: Sequence[Item], *, workers: int
+    function: Callable[[Item], Value],
+    items: Sequence[Item],
+    *,
+    workers: int,
+    meanwhile: Callable[[], object] | None = None,
 ) -> Iterator[tuple[int, Value]]:
-    """Yield (position, value) as each call ends; at most ``workers`` run at once.
+    """Yield (position, value) as each call ends; at most ``workers`` run at once. When they have begun,
+    ``meanwhile`` is called.
 
     What ``function`` raises is a bug, and raised here. The threads are daemons, so that Ctrl-C does not wait
     for a host that hangs.
@@ -104,6 +109,8 @@ def fan_out(
         waiting.put(position)
     for _ in range(count):
         threading.Thread(target=work, daemon=True).start()
+    if meanwhile is not None:
+        meanwhile()
     for _ in items:
         position, value, error = ended.get()
         if error is not None:

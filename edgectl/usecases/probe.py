@@ -54,6 +54,7 @@ def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
         placed=_list_instances(fleet),
     )
     fenced = load_heartbeats(fleet.state, fleet.warn).fenced
+    fleet.history.prepare()
     with track_heartbeats(fleet) as tracked:
         show = fleet.show_probe if options.on_host is host_probe.ignore_host else show_nothing
         with show(list(fleet.inventory.hosts)) as heard:

@@ -31,6 +31,7 @@ from edgectl.transport.fake import FakeTransport
 from edgectl.transport.readings import ReadingFeeds
 from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tasks
 from tests.executor.fake_fleet import FakeFleet
+from tests.pace import patience
 
 NONE = Tasks(tasks={})
 
@@ -259,6 +260,12 @@ def test_a_bug_is_not_swallowed() -> None:
 
     with pytest.raises(ZeroDivisionError):
         list(fan_out(broken, [1, 2, 3], workers=2))
+
+
+def test_what_is_done_meanwhile_is_done_while_the_calls_run() -> None:
+    done = threading.Event()
+    answers = dict(fan_out(lambda _: done.wait(patience(30)), ["b", "a", "c"], workers=3, meanwhile=done.set))
+    assert answers == {0: True, 1: True, 2: True}
 
 
 def test_fan_out_of_nothing_is_nothing() -> None:
