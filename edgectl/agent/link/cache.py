@@ -67,19 +67,18 @@ def join_code(bundle: "Bundle") -> bytes:
     The boot program comes first. At the end: the fingerprint of the agent and where each module begins and
     ends, in the order of ``bundle``, and the length of that.
     """
-    dumped = {
-        name: code if isinstance(code, memoryview) else marshal.dumps(code)
-        for name, code in bundle.items()
-        if name != FINGERPRINT and code is not None
-    }
-    parts, spans, at = [], {}, 0
-    for name in sorted(dumped, key=lambda each: each != BOOT):
-        parts.append(dumped[name])
-        spans[name] = at, at + len(dumped[name])
-        at = spans[name][1]
+    joined, spans = bytearray(), {}
+    for name in sorted(bundle, key=lambda each: each != BOOT):
+        code, begin = bundle[name], len(joined)
+        if name != FINGERPRINT and code is not None:
+            # One after the other: an agent that stays would keep the memory of all of them.
+            joined += code if isinstance(code, memoryview) else marshal.dumps(code)
+            spans[name] = begin, len(joined)
     places = [(name, *spans.get(name, (0, 0))) for name in bundle if name != FINGERPRINT]
     index = marshal.dumps((bundle[FINGERPRINT], places))
-    return b"".join([*parts, index, len(index).to_bytes(4, "little")])
+    joined += index
+    joined += len(index).to_bytes(4, "little")
+    return bytes(joined)
 
 
 def read_code(importer: AgentImporter, operation: str) -> "Bundle":

@@ -22,6 +22,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Callable, Dict, List, NoReturn, Set, Tuple
 
+    from .boot import Bundle
+
     # As `main.serve_request`.
     Serve = Callable[[bytes, Channel, List[str], bool], None]
 
@@ -59,6 +61,13 @@ def converse(channel: Channel, bases: "List[str]", serve: "Serve") -> "NoReturn"
     finally:
         staying.end_children()
         os._exit(0)
+
+
+def _forget_loaded_code(bundle: "Bundle") -> None:
+    """Keep the names alone of modules that are loaded: an agent that stays never needs their code again."""
+    for name in bundle.keys() & sys.modules.keys():
+        if bundle[name] is not None:
+            bundle[name] = memoryview(b"")
 
 
 class _StayingAgent:
@@ -184,6 +193,7 @@ class _StayingAgent:
         except Exception:  # noqa: BLE001 - a call of its own says what is wrong
             return False
         self._loaded.add(operation)
+        _forget_loaded_code(self._importer.bundle)
         return True
 
     def _fork(self, number: int, words: "List[str]", request: bytes) -> bool:

@@ -166,7 +166,9 @@ def look_up_connections(known: "Collection[TcpConnection]") -> "list[TcpConnecti
     refusals = [message for kind, message in answers if kind == _ERROR]
     if any(int.from_bytes(each[:4], sys.byteorder, signed=True) not in _GONE for each in refusals):
         return None
-    return [TcpConnection(message) for kind, message in answers if kind == _SOCK_DIAG_BY_FAMILY]
+    found = [message for kind, message in answers if kind == _SOCK_DIAG_BY_FAMILY]
+    # What is left of a closed connection (TIME-WAIT) has its cookie; the kernel shows it, whatever was asked.
+    return [TcpConnection(message) for message in found if 1 << message[1] & _STATES]
 
 
 def _build_message(kind: int, flags: int, body: bytes) -> bytes:
