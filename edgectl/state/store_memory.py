@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the last probe has left in the history, which the next one need not read again (ADR 200)."""
+"""Memory of what the last probe left in the history, which the next one need not read again (ADR 200)."""
 
 import sqlite3
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``ssh -G`` said in earlier runs, kept while everything that it depends on is the same (ADR 198)."""
+"""Replies of ``ssh -G`` of earlier runs, kept while everything that they depend on is the same (ADR 198)."""
 
 import contextlib
 import glob
