@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,8 @@ class StayingAgent:
             stdout=subprocess.PIPE,
             bufsize=0,
             start_new_session=True,
+            # As sshd starts it, also where this suite was started by nohup.
+            preexec_fn=partial(signal.signal, signal.SIGHUP, signal.SIG_DFL),
         )
         assert self.process.stdin is not None
         assert self.process.stdout is not None
