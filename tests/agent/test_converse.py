@@ -242,8 +242,9 @@ def test_what_it_has_started_lives_on(host: AgentHost, end: Callable[[StayingAge
     written = sum(each.stat().st_size for each in log.rglob("*") if each.is_file())
     eventually(lambda: sum(each.stat().st_size for each in log.rglob("*") if each.is_file()) != written)
     assert host.supervisor("slam") == supervisor
-    assert all(is_running(pid) for pid in (supervisor, *host.members("slam")))
-    assert host.members("slam") & members
+    assert is_running(supervisor)
+    # The loop's shell; each of its sleeps is a process of its own, which ends by itself.
+    assert any(is_running(pid) for pid in host.members("slam") & members)
     entry = host.entry("slam")
     assert entry is not None
     assert (entry["state"], entry["restarts"]) == ("running", 0)
