@@ -51,9 +51,12 @@ def add_pipeline(fleet: FaultFleet, version: int, order: str, host: str) -> None
     # In ROS 1 a second node of one name throws the first one out.
     name = "detection" if order == "stop-first" else "detection_$EDGECTL_HOST"
     ready = {"ros_node": f"/{name}".replace("$EDGECTL_HOST", host), "timeout": "60s"}
-    if order == "start-first":
+    if order == "start-first" and version == 1:
         # Who is in the graph is not yet connected: the old one shall stay until the new one is heard.
         ready["ros_topic"] = "/detections"
+    if order == "start-first" and version == 2:
+        # A check of the topic on its own host would not know when the subscriber on another host has discovered it.
+        ready = {"command": 'test -e "$HOME/relays-$EDGECTL_PID"', "timeout": "60s"}
     add_task(
         fleet,
         "detection",

@@ -2,10 +2,12 @@
 """Nodes of a pipeline for the tests, of ROS 1 or ROS 2: ``pipeline.py 1|2 NAME ROLE WORDS..``.
 
 ``source OUT HZ BYTES`` sends so many messages, ``relay IN OUT`` sends on what it hears, ``sink IN FILE`` appends the
-time of each message in s (monotonic, of the machine) to a file.
+time of each message in s (monotonic, of the machine) to a file. In ROS 2 a relay makes the file ``relays-PID`` in its
+home once it has sent on a message while its publisher had discovered a subscriber.
 """
 
 import importlib
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -45,7 +47,14 @@ def run_ros2(name: str, role: str, *words: str) -> None:
 
     def publish(topic: str) -> Callable[[str], None]:
         publisher = node.create_publisher(text, topic, 1)
-        return lambda data: publisher.publish(text(data=data))
+        mark = Path.home() / f"relays-{os.getpid()}"
+
+        def send(data: str) -> None:
+            publisher.publish(text(data=data))
+            if role == "relay" and publisher.get_subscription_count() and not mark.exists():
+                mark.touch()
+
+        return send
 
     def subscribe(topic: str, hear: Callable[[str], None]) -> None:
         node.create_subscription(text, topic, lambda message: hear(message.data), 1)
