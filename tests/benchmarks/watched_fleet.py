@@ -3,8 +3,9 @@
 
 Real SSH servers, each in a network of its own where root runs this, a fifth of them robots, and one task for each of
 these. ``edgectl watch --every 1s`` runs as a process of its own; its CPU is that of all its threads, and a host's that of
-its server, the login shells and the agents. With ``profilers`` a profiler runs on each host; it counts as well. With ``loopback`` the hosts have
-no networks of their own, so each counts the packets of all. They always share CPU, memory and the table of processes.
+its server, the login shells and the agents: root counts both by control groups, others by the table of processes. With ``profilers``
+a profiler runs on each host; it counts as well. With ``loopback`` the hosts have no networks of their own, so each counts
+the packets of all. They always share CPU, memory and the table of processes.
 """
 
 import os
@@ -19,6 +20,7 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 from tests.benchmarks.ratios import note_ratio
+from tests.faults.cgroup import CpuGroup, create_cgroup
 from tests.faults.hosts import wait_for
 from tests.faults.network import ManagerNetwork, plug_in_card
 from tests.sshd import Lab, running_lab
@@ -79,6 +81,26 @@ def read_tree_cpu_s(roots: Sequence[int]) -> dict[int, float]:
 
 
 @contextmanager
+def making_groups(count: int) -> Iterator[list[CpuGroup]]:
+    """Make as many control groups, which limit nothing; none where this user cannot."""
+    with ExitStack() as stack:
+        groups = []
+        for number in range(count):
+            group = create_cgroup(f"edgectl-watched-{os.getpid()}-{number}", float(os.cpu_count() or 1))
+            stack.callback(group.remove)
+            groups.append(group)
+        yield groups if all(group.directories for group in groups) else []
+
+
+def count_cpu_s(pids: Sequence[int], groups: Sequence[CpuGroup]) -> list[float]:
+    """CPU s of all that descends from each process."""
+    if groups:
+        return [group.read_cpu_s() for group in groups]
+    found = read_tree_cpu_s(pids)
+    return [found[pid] for pid in pids]
+
+
+@contextmanager
 def making_networks(folder: Path, names: Sequence[str]) -> Iterator[tuple[list[str], Networks]]:
     """Give the manager a network with a bridge, and each host one at that bridge; return the words that enter the
     first, and the address and the words of each host.
@@ -120,21 +142,27 @@ def count_cycles(folder: Path) -> int:
         return int(connection.execute("SELECT count(DISTINCT at) FROM host_samples").fetchone()[0])
 
 
-def measure(lab: Lab, folder: Path, enter: Sequence[str], seconds: float) -> tuple[float, list[float], float]:
+def measure(
+    lab: Lab, folder: Path, enter: Sequence[str], groups: Sequence[CpuGroup], seconds: float
+) -> tuple[float, list[float], float]:
     """Return shares of a core: of the manager, and of each host; and cycles per second."""
     servers = [server.process.pid for server in lab.servers.values() if server.process is not None]
     with watching(folder, enter) as process:
+        pids = [process.pid, *servers]
+        for pid, group in zip(pids, groups, strict=False):
+            for file in group.procs_files:
+                Path(file).write_text(str(pid))
         time.sleep(WARM_UP_S)
         cycles = count_cycles(folder)
-        before, began = read_tree_cpu_s([process.pid, *servers]), time.monotonic()
+        before, began = count_cpu_s(pids, groups), time.monotonic()
         time.sleep(seconds)
-        after, took = read_tree_cpu_s([process.pid, *servers]), time.monotonic() - began
+        after, took = count_cpu_s(pids, groups), time.monotonic() - began
         rate = (count_cycles(folder) - cycles) / took
         said = (folder / "output").read_text()
         assert process.poll() is None, said
         assert "host-lost" not in said, said
-    shares = {pid: (after[pid] - before[pid]) / took for pid in after}
-    return shares.pop(process.pid), list(shares.values()), rate
+    manager, *hosts = [(late - early) / took for early, late in zip(before, after, strict=True)]
+    return manager, hosts, rate
 
 
 def main(words: Sequence[str]) -> int:
@@ -146,6 +174,7 @@ def main(words: Sequence[str]) -> int:
         folder = Path(directory)
         write_files(folder, names)
         with ExitStack() as stack:
+            groups = stack.enter_context(making_groups(count + 1))
             enter: list[str] = []
             networks: Networks | None = None
             if os.geteuid() == 0 and "loopback" not in words:
@@ -155,11 +184,11 @@ def main(words: Sequence[str]) -> int:
             if "profilers" in words:
                 ask = [*enter, sys.executable, "-m", "edgectl", "profilers", "start", "--every", "1s"]
                 subprocess.run(ask, cwd=folder, check=True, capture_output=True)
-            manager, hosts, rate = measure(lab, folder, enter, seconds)
+            manager, hosts, rate = measure(lab, folder, enter, groups, seconds)
     mean = sum(hosts) / len(hosts)
     print(
         f"{count} hosts, {seconds:.0f} s, {rate:.2f} cycles/s: {manager:.2%} of a core here, {1000 * manager / rate:.1f} ms"
-        f" a cycle; {mean:.2%} on a host (most {max(hosts):.2%})"
+        f" a cycle; {mean:.2%} on a host (most {max(hosts):.2%}); by {'control groups' if groups else 'processes'}"
     )
     what = f"watch of {count} hosts each second"
     note_ratio(f"{what}: the manager", manager / MOST_MANAGER, of=f"{MOST_MANAGER:.0%} of a core", most=1.0)
