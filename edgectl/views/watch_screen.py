@@ -65,7 +65,7 @@ def render_watch_screen(
     look: RenderOptions = PLAIN,
 ) -> str:
     """All lines of the screen, at most ``rows``. ``now``: s since 1970."""
-    hosts, tasks = _render_watch_hosts(tally, look), _render_watch_tasks(tally, look)
+    hosts, tasks = _render_watch_hosts(tally, now, look), _render_watch_tasks(tally, look)
     past = _render_past_lines(tally, min(_MAX_PAST_LINES, max(1, rows // 5)), look)
     room = rows - _HEAD_LINES - _FOOT_LINES - len(past) - 2
     shown_hosts = _truncate_lines(hosts, max(3, room - len(tasks), room // 2))
@@ -111,14 +111,21 @@ def _format_next_cycle(tally: WatchTally, now: float) -> str:
     return f"next in {math.ceil(left)}s" if left > 0 else "working"
 
 
-def _render_watch_hosts(tally: WatchTally, look: RenderOptions) -> list[str]:
+def _render_watch_hosts(tally: WatchTally, now: float, look: RenderOptions) -> list[str]:
     rows: list[Row] = [_HOST_HEAD]
-    for name, host in tally.snapshot.hosts.items() if tally.snapshot is not None else ():
-        rows.append(_render_watch_host_row(name, host, tally, look))
+    if tally.snapshot is not None:
+        passed_s = max(0.0, now - tally.snapshot.taken_at)
+        rows += [
+            _render_watch_host_row(name, host, passed_s, tally, look)
+            for name, host in tally.snapshot.hosts.items()
+        ]
     return render_columns(rows, RenderOptions(colour=look.colour), right={3}).splitlines()
 
 
-def _render_watch_host_row(name: str, host: HostSample, tally: WatchTally, look: RenderOptions) -> Row:
+def _render_watch_host_row(
+    name: str, host: HostSample, passed_s: float, tally: WatchTally, look: RenderOptions
+) -> Row:
+    """``passed_s``: since the snapshot, in which the sample had its age already."""
     strip = render_sparkline(
         tally.shares.get(name, ()), 1.0, 12 if _is_narrow(look) else 40, unicode=look.unicode
     )
@@ -131,7 +138,7 @@ def _render_watch_host_row(name: str, host: HostSample, tally: WatchTally, look:
     running = [task for task, sample in host.tasks.items() if sample.state.alive]
     return (
         Cell(name, "name"),
-        Cell(host.status.value, "good"),
+        Cell(f"{host.status.value}, {format_duration(host.sample_age_s + passed_s)} old", "good"),
         strip,
         Cell(f"{share:.0%}", "bad" if share > _HIGH_SHARE else ""),
         *(_render_usage_bar(host.usage.get(each.name), look) for each in _OTHER_HOST_RESOURCES),
