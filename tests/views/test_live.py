@@ -252,6 +252,19 @@ def test_each_reading_has_its_age_in_the_object_and_on_the_screen_where_it_grows
             assert any(line.split()[:4] == [name, "ok,", age, "old"] for line in lines), lines
 
 
+@pytest.mark.parametrize("rows", [12, 24, 50, 80])
+def test_hosts_that_find_no_room_are_counted(rows: int) -> None:
+    hosts = {f"edge{number}": fleet()[2].hosts["edge1"] for number in range(60)}
+    snapshot = dataclasses.replace(fleet()[2], hosts=hosts)
+    tally = add_cycle_to_tally(WatchTally(), cycle(snapshot=snapshot, plan=None))
+    lines = render_watch_screen(TITLE, tally, NOW, rows=rows, look=RenderOptions(width=80)).splitlines()
+    assert len(lines) <= rows
+    shown = [line for line in lines if line.startswith("edge")]
+    left = [line for line in lines[: len(shown) + 4] if line.startswith("and ")]
+    assert left == ([f"and {60 - len(shown)} more"] if rows < 70 else [])
+    assert len(shown) == 60 or len(shown) >= rows // 2 - 8
+
+
 def test_presets_have_names() -> None:
     assert [watch_cycle.format_weights(weights) for weights in WEIGHT_PRESETS.values()] == list(
         WEIGHT_PRESETS
