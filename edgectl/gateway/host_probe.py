@@ -179,8 +179,8 @@ def _list_link_ends(answers: _Answers) -> dict[str, LinkEnds]:
 
 def _ask_hosts(hosts: Sequence[Host], context: _ProbeContext) -> _Answers:
     """The answers of ``hosts`` in their order; each is reported as it ends."""
-    options, spent = context.options, _measure_silence(hosts, context)
-    answers = _take_readings(hosts, context)
+    options = context.options
+    answers, spent = _take_readings(hosts, context)
     for answer in ask_all(
         [host for host in hosts if host.name not in answers],
         context.transport,
@@ -196,20 +196,14 @@ def _ask_hosts(hosts: Sequence[Host], context: _ProbeContext) -> _Answers:
     return {host.name: answers[host.name] for host in hosts}
 
 
-def _measure_silence(hosts: Sequence[Host], context: _ProbeContext) -> dict[str, float]:
-    """Seconds by host that it has been waited for, of which some are left to ask it."""
-    options = context.options
-    if options.readings is None:
-        return {}
-    most = _SILENT_SHARE * options.timeout
-    return {host.name: min(most, options.readings.measure_silence(host.name)) for host in hosts}
-
-
-def _take_readings(hosts: Sequence[Host], context: _ProbeContext) -> _Answers:
-    """The answers of the hosts that have sent theirs already; the others are to be asked."""
+def _take_readings(hosts: Sequence[Host], context: _ProbeContext) -> tuple[_Answers, dict[str, float]]:
+    """The answers of the hosts that have sent theirs already; of the others, which are to be asked, the
+    seconds that each has been waited for, of which some are left.
+    """
     readings, options, answers = context.options.readings, context.options, _Answers()
+    spent: dict[str, float] = {}
     if readings is None or context.lease is not None:
-        return answers
+        return answers, spent
     readings.use_inputs(
         (
             *(context.addresses, context.edges),
@@ -221,6 +215,7 @@ def _take_readings(hosts: Sequence[Host], context: _ProbeContext) -> _Answers:
         request = _build_request(host, context)
         reading = readings.find(host.name, request)
         if reading is None:
+            spent[host.name] = min(_SILENT_SHARE * options.timeout, readings.ask_anew(host.name, request))
             continue
         value: DecodedProbe | HostError
         try:
@@ -231,7 +226,7 @@ def _take_readings(hosts: Sequence[Host], context: _ProbeContext) -> _Answers:
         answer = HostAnswer(host=host, value=value, ended=reading.said_at, seconds=0.0)
         answers[host.name] = answer
         options.on_host(host.name, _get_sample(answer), 0.0)
-    return answers
+    return answers, spent
 
 
 def _decode_reading(

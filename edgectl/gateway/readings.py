@@ -71,21 +71,22 @@ class FleetReadings(Generic[Value]):
         return self._contexts[host]
 
     def find(self, host: str, request: Request) -> Reading | None:
-        """What a host says now; None where it must be asked: what it said before does not count then."""
+        """What a host says now; None where it must be asked."""
         feed = self._feeds.find(host)
         reading = feed.find_reading() if feed is not None else None
-        if reading is not None and self._asked.get(host) == request:
-            return reading
-        self.drop(host)
-        self._asked[host] = request
-        return None
+        return reading if self._asked.get(host) == request else None
 
-    def measure_silence(self, host: str) -> float:
-        """Seconds for which a host that owes a word has been silent: it need not be waited for as long again.
+    def ask_anew(self, host: str, request: Request) -> float:
+        """Let what a host said before count no longer, because it is asked.
+
+        The seconds for which one that owes a word has been silent: it need not be waited for as long again.
         0 where its connection was lost, which may be opened anew.
         """
         feed = self._feeds.find(host)
-        return 0.0 if feed is None or feed.is_over else feed.silent_s
+        silent_s = 0.0 if feed is None or feed.is_over else feed.silent_s
+        self.drop(host)
+        self._asked[host] = request
+        return silent_s
 
     def drop(self, host: str) -> None:
         """Ask a host anew."""

@@ -42,6 +42,12 @@ class Frame:
         """Number of hosts without a reply."""
         return sum(not host.ok for host in self.snapshot.hosts.values())
 
+    @property
+    def oldest_at(self) -> float:
+        """When the oldest of the samples was taken (s since 1970): a profiler's is older than the probe."""
+        ages = (host.sample_age_s for host in self.snapshot.hosts.values() if host.ok)
+        return self.snapshot.taken_at - max(ages, default=0.0)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopRow:

@@ -146,12 +146,12 @@ class FleetTables(App[None]):
         return self.screen_stack[0].query_one(selector, Static)
 
     def _show_head(self) -> None:
-        """Fleet, clock and age of the sample, every second."""
+        """Fleet, clock and age of the oldest sample, every second."""
         frame = self._frame
         if frame is None or not self._has_all_widgets:
             return
         now = self._clock()
-        age = max(0, round(now - frame.snapshot.taken_at))
+        age = max(0, round(now - frame.oldest_at))
         unreachable = f" ({frame.unreachable} unreachable)" if frame.unreachable else ""
         orders = [f"{table} by {self._orders[table]}" for table in ("hosts", "tasks")]
         parts = [

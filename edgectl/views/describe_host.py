@@ -21,7 +21,12 @@ from edgectl.views.rows import encode_host_row
 from edgectl.views.state import render_host_status
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row
 from edgectl.views.top_tasks import render_task_rows_of_host
-from edgectl.views.usage import format_traffic, render_capacity_age, render_usage_share
+from edgectl.views.usage import (
+    format_sample_age,
+    format_traffic,
+    render_capacity_age,
+    render_usage_share,
+)
 
 _LINK_HEAD = head(
     "robot", "capacity_bytes_per_s", "capacity_source", "capacity_age_s", "nominal_bytes_per_s",
@@ -95,6 +100,8 @@ def _list_host_fields(stated: Host, sample: HostSample | None, value: Snapshot) 
     found.append(("Status", render_host_status(stated.name, sample, value.manager)))
     if sample is not None and not sample.ok:
         found += [("Cause", sample.error), ("Hint", sample.hint)]
+    elif sample is not None:
+        found.append(("Sample age", format_sample_age(sample)))
     return [
         *found,
         (

@@ -138,7 +138,7 @@ INNER_KEYS: KeysByName = {
     "moves_first": ("task", "host", "amount"),
     "handoff": ("order", "safe_when", "hold", "release", "save", "load", "topic"),
     "history": ("at", "host", *map(get_flat_used_key, RESOURCES)),
-    "hosts": ("status", "error", *(resource.name for resource in HOST_RESOURCES)),
+    "hosts": ("status", "sample_age_s", "error", *(resource.name for resource in HOST_RESOURCES)),
     "interfaces": (
         "rx_bytes_per_s", "tx_bytes_per_s", "speed_bytes_per_s", "level_dbm", "retries_per_s", "access_point",
         "joined_s",

@@ -23,7 +23,7 @@ from edgectl.views.output_format import FLEET_FORMATS
 from edgectl.views.rows import encode_host_row
 from edgectl.views.state import render_host_status
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, is_within_width, render_columns
-from edgectl.views.usage import describe_capacity, format_traffic
+from edgectl.views.usage import describe_capacity, format_sample_age, format_traffic
 
 UsedCell = Callable[[ResourceUsage | None, Callable[[float], str]], Cell]
 _USED_COLUMNS = tuple(f"{each.name}.used_{each.unit.name}" for each in HOST_RESOURCES)
@@ -138,7 +138,7 @@ def _render_device_row(name: str, host: HostSample) -> Row:
     device = host.device
     return (
         Cell(name, "name"),
-        format_duration(host.sample_age_s) + (" profiler" if host.resident else ""),
+        format_sample_age(host),
         "-" if device.load_1m is None else f"{device.load_1m:.2f}",
         "-" if device.temperature_c is None else f"{device.temperature_c:.0f}C",
         "-" if device.gpu_share is None else f"{device.gpu_share:.0%}",

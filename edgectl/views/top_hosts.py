@@ -19,12 +19,14 @@ from edgectl.views.rows import encode_host_row
 from edgectl.views.state import render_host_status
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row
 from edgectl.views.usage import (
+    format_sample_age,
     render_usage_share,
     render_with_sparklines,
 )
 
 _HOST_HEAD = head("host", "status", *(f"{each.name}.share" for each in HOST_RESOURCES), "link", "task_count")
 _WIDE_HOST_HEAD = head(
+    "sample_age_s",
     *(f"{each.name}.usage" for each in HOST_RESOURCES),
     "rx_bytes_per_s",
     "tx_bytes_per_s",
@@ -61,7 +63,7 @@ class TopHostsView(ListView):
         return self._render(look, wide=False)
 
     def wide(self, look: RenderOptions = PLAIN) -> str:
-        """The table with absolute numbers, network interfaces, load and temperature."""
+        """The table with sample ages, absolute numbers, network interfaces, load and temperature."""
         return self._render(look, wide=True)
 
     def _render(self, look: RenderOptions, *, wide: bool) -> str:
@@ -133,6 +135,7 @@ def _render_wide_host_cells(sample: HostSample) -> Row:
     inward = sum(each.rx_bytes_per_s for each in device.interfaces.values())
     outward = sum(each.tx_bytes_per_s for each in device.interfaces.values())
     return (
+        format_sample_age(sample),
         *(_format_used_of_capacity(sample, each) for each in HOST_RESOURCES),
         format_rate(inward) if device.interfaces else "-",
         format_rate(outward) if device.interfaces else "-",

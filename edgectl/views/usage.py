@@ -47,6 +47,11 @@ def describe_capacity(link: LinkSample) -> str:
     return f"{capacity} ({link.capacity_source}, {age} ago, nominal {format_rate(link.nominal)})"
 
 
+def format_sample_age(sample: HostSample) -> str:
+    """Age of the readings of a host, and whether a profiler took them."""
+    return format_duration(sample.sample_age_s) + (" profiler" if sample.resident else "")
+
+
 def render_capacity_age(link: LinkSample | None) -> str:
     """The age of a live capacity; ``-`` of any other."""
     return "-" if link is None or link.capacity_age_s is None else format_duration(link.capacity_age_s)

@@ -142,6 +142,7 @@ def _encode_cycle_host(host: HostSample) -> Document:
         return {"status": host.status.value, "error": host.error}
     return {
         "status": host.status.value,
+        "sample_age_s": host.sample_age_s,
         **encode_host_usage(host),
     }
 

@@ -65,10 +65,10 @@ def render_watch_screen(
     look: RenderOptions = PLAIN,
 ) -> str:
     """All lines of the screen, at most ``rows``. ``now``: s since 1970."""
-    hosts, tasks = _render_watch_hosts(tally, look), _render_watch_tasks(tally, look)
+    tasks = _render_watch_tasks(tally, look)
     past = _render_past_lines(tally, min(_MAX_PAST_LINES, max(1, rows // 5)), look)
     room = rows - _HEAD_LINES - _FOOT_LINES - len(past) - 2
-    shown_hosts = _truncate_lines(hosts, max(3, room - len(tasks), room // 2))
+    shown_hosts = _render_watch_hosts(tally, now, max(3, room - len(tasks), room // 2), look)
     shown_tasks = _truncate_lines(tasks, max(2, room - len(shown_hosts)))
     lines = [
         _render_watch_header(title, tally, now, paused, look),
@@ -111,14 +111,20 @@ def _format_next_cycle(tally: WatchTally, now: float) -> str:
     return f"next in {math.ceil(left)}s" if left > 0 else "working"
 
 
-def _render_watch_hosts(tally: WatchTally, look: RenderOptions) -> list[str]:
-    rows: list[Row] = [_HOST_HEAD]
-    for name, host in tally.snapshot.hosts.items() if tally.snapshot is not None else ():
-        rows.append(_render_watch_host_row(name, host, tally, look))
-    return render_columns(rows, RenderOptions(colour=look.colour), right={3}).splitlines()
+def _render_watch_hosts(tally: WatchTally, now: float, room: int, look: RenderOptions) -> list[str]:
+    """At most ``room`` lines. Hosts that have none are not rendered: of many that is most of a drawing."""
+    hosts = list(tally.snapshot.hosts.items()) if tally.snapshot is not None else []
+    passed_s = 0.0 if tally.snapshot is None else max(0.0, now - tally.snapshot.taken_at)
+    shown = hosts if len(hosts) < room else hosts[: room - 2]
+    rows = [_HOST_HEAD, *(_render_watch_host_row(name, host, passed_s, tally, look) for name, host in shown)]
+    lines = render_columns(rows, RenderOptions(colour=look.colour), right={3}).splitlines()
+    return lines if shown == hosts else [*lines, _format_rest(len(hosts) - len(shown))]
 
 
-def _render_watch_host_row(name: str, host: HostSample, tally: WatchTally, look: RenderOptions) -> Row:
+def _render_watch_host_row(
+    name: str, host: HostSample, passed_s: float, tally: WatchTally, look: RenderOptions
+) -> Row:
+    """``passed_s``: since the snapshot, in which the sample had its age already."""
     strip = render_sparkline(
         tally.shares.get(name, ()), 1.0, 12 if _is_narrow(look) else 40, unicode=look.unicode
     )
@@ -131,7 +137,7 @@ def _render_watch_host_row(name: str, host: HostSample, tally: WatchTally, look:
     running = [task for task, sample in host.tasks.items() if sample.state.alive]
     return (
         Cell(name, "name"),
-        Cell(host.status.value, "good"),
+        Cell(f"{host.status.value}, {format_duration(host.sample_age_s + passed_s)} old", "good"),
         strip,
         Cell(f"{share:.0%}", "bad" if share > _HIGH_SHARE else ""),
         *(_render_usage_bar(host.usage.get(each.name), look) for each in _OTHER_HOST_RESOURCES),
@@ -222,7 +228,11 @@ def _render_past_lines(tally: WatchTally, count: int, look: RenderOptions) -> li
 
 def _truncate_lines(lines: list[str], room: int) -> list[str]:
     """``lines``; where not all fit, the last one is the number of the others."""
-    return lines if len(lines) <= room else [*lines[: room - 1], f"and {len(lines) - room + 1} more"]
+    return lines if len(lines) <= room else [*lines[: room - 1], _format_rest(len(lines) - room + 1)]
+
+
+def _format_rest(count: int) -> str:
+    return f"and {count} more"
 
 
 class WatchScreen:

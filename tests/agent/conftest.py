@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 
 import pytest
 
+from edgectl.agent.daemon import pidfile
 from edgectl.agent.measure import proc
 from edgectl.agent.supervise import liveness
 from edgectl.transport.agent_archive import compute_agent_hash
@@ -146,6 +147,41 @@ def is_running(pid: int) -> bool:
     return seen is not None and seen.state not in "ZX"
 
 
+class Profiled:
+    """A host and its profiler."""
+
+    def __init__(self, host: AgentHost) -> None:
+        self.host = host
+
+    def start(self, *, every: float = 1.0, ttl: float = 600.0, **spec: Any) -> dict[str, Any]:
+        return self.host.ask("profiler-start", every_s=every, ttl_s=ttl, **spec)
+
+    def status(self, **spec: Any) -> dict[str, Any]:
+        return self.host.ask("profiler-status", **spec)
+
+    def sampled(self, count: int) -> dict[str, Any]:
+        """Its status once it has taken ``count`` samples."""
+        return eventually(
+            lambda: reply if (reply := self.status()).get("samples", 0) >= count else None, seconds=30
+        )
+
+    def probe(self, **fields: Any) -> dict[str, Any]:
+        """A probe served by the profiler. On a busy machine a sample may be late, and then a window is measured."""
+        return eventually(
+            lambda: (
+                found if (found := self.host.ask("probe", window_s=0.05, **fields)).get("resident") else None
+            ),
+            seconds=30,
+        )
+
+    @property
+    def folder(self) -> Path:
+        return self.host.home / "profiler"
+
+    def holders(self) -> list[int]:
+        return [pid for pid, _ in pidfile.find_holders(str(self.folder))]
+
+
 @pytest.fixture(scope="session")
 def cached_agent(tmp_path_factory: pytest.TempPathFactory) -> Path | None:
     """The directory of an agent that has compiled the code of the common operations."""
@@ -180,6 +216,14 @@ def host(
         agent.runtime, agent.session.python = "systemd", str(request.getfixturevalue("systemd").python)
     yield agent
     agent.end()
+
+
+@pytest.fixture
+def profiled(host: AgentHost) -> Iterator[Profiled]:
+    found = Profiled(host)
+    yield found
+    for pid in found.holders():
+        os.kill(pid, signal.SIGKILL)
 
 
 @pytest.fixture(scope="session")

@@ -8,7 +8,6 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -19,56 +18,13 @@ from edgectl.agent.daemon import daemon, pidfile, sample_ring
 from edgectl.agent.measure import proc, task
 from edgectl.agent.supervise import liveness, state_dir
 from edgectl.errors import RefusedError
-from tests.agent.conftest import AgentHost, eventually, is_running
+from tests.agent.conftest import Profiled, eventually, is_running
 from tests.agent.test_probe import build_links, connected, interpreters, sent
 
 LINKS = build_links(41)
 ROBOT = LINKS[0]["address"]
 
 MOST_BYTES = 20 << 20
-
-
-class Profiled:
-    """A host and its profiler."""
-
-    def __init__(self, host: AgentHost) -> None:
-        self.host = host
-
-    def start(self, *, every: float = 1.0, ttl: float = 600.0, **spec: Any) -> dict[str, Any]:
-        return self.host.ask("profiler-start", every_s=every, ttl_s=ttl, **spec)
-
-    def status(self, **spec: Any) -> dict[str, Any]:
-        return self.host.ask("profiler-status", **spec)
-
-    def sampled(self, count: int) -> dict[str, Any]:
-        """Its status once it has taken ``count`` samples."""
-        return eventually(
-            lambda: reply if (reply := self.status()).get("samples", 0) >= count else None, seconds=30
-        )
-
-    def probe(self, **fields: Any) -> dict[str, Any]:
-        """A probe served by the profiler. On a busy machine a sample may be late, and then a window is measured."""
-        return eventually(
-            lambda: (
-                found if (found := self.host.ask("probe", window_s=0.05, **fields)).get("resident") else None
-            ),
-            seconds=30,
-        )
-
-    @property
-    def folder(self) -> Path:
-        return self.host.home / "profiler"
-
-    def holders(self) -> list[int]:
-        return [pid for pid, _ in pidfile.find_holders(str(self.folder))]
-
-
-@pytest.fixture
-def profiled(host: AgentHost) -> Iterator[Profiled]:
-    found = Profiled(host)
-    yield found
-    for pid in found.holders():
-        os.kill(pid, signal.SIGKILL)
 
 
 # -- hand-worked numbers --

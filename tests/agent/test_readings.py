@@ -4,12 +4,15 @@
 import json
 import os
 import random
+import select
 import signal
 import socket
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +23,7 @@ from edgectl.agent.measure.probe import WindowMeter
 from edgectl.agent.measure.readings import build_update, merge_update
 from edgectl.agent.supervise import state_dir
 from edgectl.transport.agent_client import split_frame
-from tests.agent.conftest import AgentHost, eventually, is_running
+from tests.agent.conftest import AgentHost, Profiled, eventually, is_running
 from tests.agent.test_converse import DEADLINE_S, MARKER, StayingAgent, open_agent
 from tests.agent.test_probe import NET, connected
 
@@ -81,6 +84,29 @@ def test_what_is_within_the_noise_is_not_sent(path: str, same: object, other: ob
         update = build_update(before, change(path, other), 1.0)
         assert path.partition(".")[0] in {**update["changed"], **update["entries"]}
         assert merge_update(before, update) == change(path, other)
+
+
+@pytest.mark.parametrize(
+    ("path", "other", "sent"),
+    [
+        ("cpu.used_cores", 3.0, False),
+        ("links.robot1.rx_bytes_per_s", 9e6, False),
+        ("tasks.age_s.links.robot1", 9e5, False),
+        ("tasks.age_s.state", "failed", True),
+        ("tasks.age_s.restarts", 1, True),
+        ("tasks.age_s.metrics", {"rtt_ms": 5.01}, True),
+        ("links.robot1.reachable", False, True),
+        ("wall", 1060.0, True),
+    ],
+)
+def test_without_a_new_sample_of_the_profiler_states_alone_are_sent(
+    path: str, other: object, sent: bool
+) -> None:
+    now = change(path, other)
+    now["cpu"]["used_cores"] += 1.0
+    update = build_update(BEFORE, now, 1.0, is_new=False)
+    assert bool(update) == sent
+    assert not sent or merge_update(BEFORE, update) == now, "then with all that is known now"
 
 
 def test_entries_and_keys_that_come_and_go_are_sent() -> None:
@@ -247,6 +273,45 @@ def count_reads(meter: WindowMeter) -> tuple[dict[str, Any], Counter[str]]:
     finally:
         OPENED = None
     return found, Counter(opened)
+
+
+@contextmanager
+def changing_memory() -> Iterator[None]:
+    """Use 40 MiB more each 50 ms, and begin anew beyond 400 MiB: more than the noise of any host of 4 GiB."""
+    over = threading.Event()
+
+    def change() -> None:
+        held: list[bytes] = []
+        while not over.wait(0.05):
+            held = [*held, b"x" * (40 << 20)] if len(held) < 10 else []
+
+    changing = threading.Thread(target=change)
+    changing.start()
+    try:
+        yield
+    finally:
+        over.set()
+        changing.join()
+
+
+@pytest.mark.parametrize(("profiler_s", "every_s"), [(1.0, 0.05), (0.1, 1.0)])
+def test_numbers_come_at_most_at_the_rate_of_the_profiler(
+    profiler_s: float, every_s: float, staying: StayingAgent, profiled: Profiled
+) -> None:
+    """And at most at that of the watch. The memory of the host changes in each round."""
+    profiled.start(every=profiler_s)
+    profiled.probe()
+    staying.ask(1, "readings", window_s=0.0, every_s=every_s, rounds=10000)
+    assert wait_for_replies(staying, 1, 1)[0]["resident"] is True
+    before, began = profiled.status()["samples"], time.monotonic()
+    with changing_memory():
+        while time.monotonic() < began + 4.0 or profiled.status()["samples"] < before + 3:
+            if select.select([staying.output], [], [], 0.1)[0]:
+                staying.take(staying.read())
+    most = min(profiled.status()["samples"] - before, (time.monotonic() - began) / every_s)
+    updates = [each for each in read_replies(staying, 1)[1:] if each]
+    assert any("memory" in each["changed"] for each in updates)
+    assert len(updates) <= most + 1
 
 
 def test_it_ends_after_its_rounds(staying: StayingAgent) -> None:

@@ -10,10 +10,8 @@ from collections.abc import Iterator
 import pytest
 
 from edgectl.agent.measure import udp
-from tests.agent.conftest import AgentHost, eventually
+from tests.agent.conftest import AgentHost, Profiled, eventually
 from tests.agent.test_probe import build_links, has_v6
-from tests.agent.test_profiler import Profiled
-from tests.agent.test_profiler import profiled as profiled
 
 UNSEEN = "udp unseen"
 LINKS = build_links(61)

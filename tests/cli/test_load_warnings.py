@@ -29,6 +29,7 @@ tasks:
     demand: {cpu: 0.01, memory: 60Mi}
     stop: {grace: 2s}
 """
+SAID = r"uses 1\d\d\.\dMi of memory, declares 60\.0Mi; edgectl profile hog --write"
 
 
 @pytest.fixture
@@ -37,13 +38,13 @@ def hog(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> Iterator[P
     with enter_fleet(tmp_path, INVENTORY, TASKS, monkeypatch) as folder:
         assert run("apply", "--yes").code == 0
         deadline = time.monotonic() + patience(WARM_UP_S + 60.0)
-        while not json.loads(run("status", "-o", "json").out)["warnings"]:
+        # On a busy machine a host may not answer in time, which is a warning, too.
+        while not re.search(SAID, " ".join(json.loads(run("status", "-o", "json").out)["warnings"])):
             assert time.monotonic() < deadline
             time.sleep(1.0)
         yield folder
 
 
-SAID = r"uses 1\d\d\.\dMi of memory, declares 60\.0Mi; edgectl profile hog --write"
 LACKING = r"the edges are short of \d+\.\dMi of memory: the least that would help"
 
 

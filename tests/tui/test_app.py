@@ -45,6 +45,20 @@ def test_fleet_health_tables_and_the_line_in_80_by_24() -> None:
     session(Bench(), act)
 
 
+def test_the_head_shows_the_age_of_the_oldest_sample() -> None:
+    frame = a_frame()
+    edge10 = replace(frame.snapshot.hosts["edge10"], sample_age_s=5.0, resident=True)
+    snapshot = replace(frame.snapshot, hosts={**frame.snapshot.hosts, "edge10": edge10})
+
+    def check(view: TopApp) -> None:
+        assert " · sample 7s old · " in shown(view).split("\n")[0]
+
+    async def act(pilot: Pilot[None], view: TopApp) -> None:
+        await eventually(pilot, lambda: check(view))
+
+    session(Bench(frames=[replace(frame, snapshot=snapshot)]), act)
+
+
 @pytest.mark.parametrize("size", [(80, 24), (160, 50)])
 def test_sparklines_fill_the_width_and_no_more(size: tuple[int, int]) -> None:
     def check(view: TopApp, width: int) -> None:

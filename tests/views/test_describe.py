@@ -152,6 +152,7 @@ Role:          edge
 Address:       edge1.lab
 Connection:    ssh, port 2222, user jetson
 Status:        ok, cordoned
+Sample age:    0.0s
 Last contact:  1.5s ago
 Labels:        gpu=maxwell
 Capacity:      4.00 cores, 4.0Gi (measured)

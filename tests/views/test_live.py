@@ -112,7 +112,7 @@ def test_the_object_of_a_cycle() -> None:
             "downtime_s": 5.3,
         }
     ]
-    assert document["hosts"]["edge1"].keys() == {"status", "cpu", "memory"}
+    assert document["hosts"]["edge1"].keys() == {"status", "sample_age_s", "cpu", "memory"}
     assert document["pending"] == []
     assert (document["resting"], document["events"][0]["kind"]) == (["detection-robot1"], "task-moved")
     pending = read_cycle(cycle())["pending"]
@@ -225,6 +225,44 @@ def test_a_silent_host_and_a_resting_task_are_shown_as_such() -> None:
     assert "unreachable" in line
     assert "connection refused" in line
     assert "left alone for a while, because its last action failed" in text
+
+
+def age_samples(value: Cycle, *, taken_at: float, **ages: float) -> Cycle:
+    """The cycle with these ages of the samples of its hosts at the instant of the snapshot."""
+    assert value.snapshot is not None
+    hosts = {
+        name: dataclasses.replace(host, sample_age_s=ages.get(name, 0.0))
+        for name, host in value.snapshot.hosts.items()
+    }
+    return dataclasses.replace(
+        value, snapshot=dataclasses.replace(value.snapshot, taken_at=taken_at, hosts=hosts)
+    )
+
+
+def test_each_reading_has_its_age_in_the_object_and_on_the_screen_where_it_grows() -> None:
+    aged = age_samples(cycle(), taken_at=NOW, edge1=0.25, edge2=3.9)
+    hosts = read_cycle(aged)["hosts"]
+    assert {name: hosts[name]["sample_age_s"] for name in ("edge1", "edge2")} == {"edge1": 0.25, "edge2": 3.9}
+    gone = read_cycle(cycle(snapshot=dataclasses.replace(fleet()[2], hosts={"edge1": silent()})))
+    assert gone["hosts"]["edge1"] == {"status": "unreachable", "error": "connection refused"}
+    tally = add_cycle_to_tally(WatchTally(), aged)
+    for now, ages in ((NOW - 5.0, ("0.2s", "3.9s")), (NOW, ("0.2s", "3.9s")), (NOW + 7.0, ("7.2s", "11s"))):
+        lines = render_watch_screen(TITLE, tally, now, rows=60, look=RenderOptions(width=80)).splitlines()
+        for name, age in zip(("edge1", "edge2"), ages, strict=True):
+            assert any(line.split()[:4] == [name, "ok,", age, "old"] for line in lines), lines
+
+
+@pytest.mark.parametrize("rows", [12, 24, 50, 80])
+def test_hosts_that_find_no_room_are_counted(rows: int) -> None:
+    hosts = {f"edge{number}": fleet()[2].hosts["edge1"] for number in range(60)}
+    snapshot = dataclasses.replace(fleet()[2], hosts=hosts)
+    tally = add_cycle_to_tally(WatchTally(), cycle(snapshot=snapshot, plan=None))
+    lines = render_watch_screen(TITLE, tally, NOW, rows=rows, look=RenderOptions(width=80)).splitlines()
+    assert len(lines) <= rows
+    shown = [line for line in lines if line.startswith("edge")]
+    left = [line for line in lines[: len(shown) + 4] if line.startswith("and ")]
+    assert left == ([f"and {60 - len(shown)} more"] if rows < 70 else [])
+    assert len(shown) == 60 or len(shown) >= rows // 2 - 8
 
 
 def test_presets_have_names() -> None:

@@ -172,7 +172,8 @@ def test_sixty_samples_stand_below_where_there_is_no_room_beside() -> None:
 
 
 def test_wide_hosts_say_absolute_numbers() -> None:
-    assert hosts(OutputFormat.WIDE).splitlines()[1].split()[-6:] == [
+    assert hosts(OutputFormat.WIDE).splitlines()[1].split()[-7:] == [
+        "0.0s",
         "3.90/4.00",
         "1.0Gi/4.0Gi",
         "1.0MB/s",

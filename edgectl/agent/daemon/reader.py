@@ -16,7 +16,7 @@ MAX_AGE_PERIODS = 3.0
 
 
 def read_measurements(request: Document) -> "Document | None":
-    """Read the measured part of a reply.
+    """Read the measured part of a reply, with ``sample_at`` (s since boot) besides.
 
     None without a living profiler with this probe spec and a recent sample.
     """
@@ -41,6 +41,7 @@ def _build_measurements(request: Document, sample: Document, age: float) -> Docu
     used = max(0.0, rates["cpu"]) + sum(max(0.0, rate["used_cores"]) for rate in alive)
     return {
         "resident": True,
+        "sample_at": sample["at"],
         "sample_age_s": round(age, 3),
         "psutil": False,
         "window_s": 0.0,

@@ -39,6 +39,9 @@ def probe_again(request: Document, meter: "WindowMeter | None") -> Document:
     measured, checks = _read_profiler(request) or (
         _measure_window(request) if meter is None else meter.measure()
     )
+    sample_at = measured.pop("sample_at", 0.0)
+    if meter is not None:
+        meter.sample_at = sample_at
     if measured["tasks"]:
         _add_metrics(request["host"], measured["tasks"])
     # After the measurement, in which it would count, and for none who only reads.
@@ -181,13 +184,16 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
 
 
 class WindowMeter:
-    """Meter of this host: of a window, and with each further call since the one before."""
+    """Meter of this host: of a window, and with each further call since the one before.
+
+    ``sample_at``: of the profiler's sample that the last probe used instead (s since boot); 0 for none.
+    """
 
     def __init__(self, request: Document, links: "LinkMeter | None" = None) -> None:
         """``links``: not begun yet; without it there is one where the request has links, or a task lives."""
         self._request, self._links = request, links
         self._window = min(_MAX_WINDOW_S, max(0.05, float(request.get("window_s", 0.5))))
-        self._began = 0.0
+        self._began = self.sample_at = 0.0
 
     def measure(self) -> "tuple[Document, _RunningChecks]":
         """Let a window pass and measure: (measured part of the reply, running checks)."""

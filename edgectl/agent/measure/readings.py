@@ -3,7 +3,7 @@
 
 The first reply is a whole one. A later one has ``changed``: the keys that differ from what was sent before,
 by more than the noise, and ``entries``: of a key that has an entry for each name, those that differ; or it is
-empty, now and then: everything is as it was.
+empty, now and then: everything is as it was. Until a profiler has a new sample, numbers with a noise wait.
 """
 
 import _signal as signal
@@ -63,7 +63,7 @@ def send_readings(request: Document, channel: "Channel") -> None:
     every, rounds, began = float(request["every_s"]), int(request["rounds"]), time.monotonic()
     # Windows without gaps: half the reads, and what is short counts too.
     meter = WindowMeter(request, LinkMeter(request))
-    base = probe_again(request, meter)
+    base, base_sample = probe_again(request, meter), meter.sample_at
     base_at = said_at = time.monotonic()
     channel.reply(dumps(base).encode("ascii"))
     # The deadline was that of the first reply.
@@ -73,9 +73,10 @@ def send_readings(request: Document, channel: "Channel") -> None:
         _pause(channel.fd, max(began + number * every, time.monotonic() + every / 2))
         now = probe_again(request, meter)
         at = time.monotonic()
-        said = build_update(base, now, at - base_at)
+        is_new = not meter.sample_at or meter.sample_at != base_sample
+        said = build_update(base, now, at - base_at, is_new)
         if said:
-            base, base_at = merge_update(base, said), at
+            base, base_at, base_sample = merge_update(base, said), at, meter.sample_at
         elif at - said_at + every / 2 < protocol.READING_SAID_S:
             continue
         channel.reply(dumps(said).encode("ascii"))
@@ -90,21 +91,22 @@ def _pause(fd: int, until: float) -> None:
         raise BrokenPipeError(os.strerror(32))
 
 
-def build_update(before: Document, now: Document, elapsed: float) -> Document:
+def build_update(before: Document, now: Document, elapsed: float, is_new: bool = True) -> Document:
     """Build what is sent of the probe ``now``, ``elapsed`` s after what was sent ``before``: {} where it says
     the same.
 
+    ``is_new``: not of the same sample of a profiler; else numbers with a noise alone are no reason to send.
     A key is sent where its value would be wrong as it was: by more than its noise, or an age by the time
     since.
     """
-    if not _differs("", before, now, elapsed):
+    if not _differs("", before, now, elapsed, is_new):
         return {}
     changed: Document = {}
     entries: Document = {}
     for key, value in now.items():
         if key not in before:
             changed[key] = value
-        elif _differs(key, before[key], value, 0.0):
+        elif _differs(key, before[key], value):
             if _has_same_entries(before[key], value):
                 entries[key] = _select_entries(before[key], value)
             else:
@@ -123,7 +125,7 @@ def _has_same_entries(before: "Any", now: "Any") -> bool:
 
 
 def _select_entries(before: Document, now: Document) -> Document:
-    return {name: value for name, value in now.items() if _differs(name, before[name], value, 0.0)}
+    return {name: value for name, value in now.items() if _differs(name, before[name], value)}
 
 
 def merge_update(before: Document, update: Document) -> Document:
@@ -136,8 +138,10 @@ def merge_update(before: Document, update: Document) -> Document:
     return merged
 
 
-def _differs(key: str, before: "Any", now: "Any", elapsed: float) -> bool:
-    """Whether a value differs by more than its noise; ``key``: under which it stands."""
+def _differs(key: str, before: "Any", now: "Any", elapsed: float = 0.0, is_new: bool = True) -> bool:
+    """Whether a value differs by more than its noise; ``key``: under which it stands. One that has a noise
+    differs only where it ``is_new``.
+    """
     if before == now or key in _IGNORED_KEYS:
         return False
     if key in _EXACT_KEYS:
@@ -149,12 +153,13 @@ def _differs(key: str, before: "Any", now: "Any", elapsed: float) -> bool:
                 before[name],
                 value,
                 elapsed,
+                is_new,
             )
             for name, value in now.items()
         )
     if isinstance(before, list) and isinstance(now, list):
         return len(before) != len(now) or any(
-            _differs(key, was, value, elapsed)
+            _differs(key, was, value, elapsed, is_new)
             for was, value in zip(before, now)  # noqa: B905 - valid for Python 3.6
         )
     if not (_is_number(before) and _is_number(now)):
@@ -162,7 +167,7 @@ def _differs(key: str, before: "Any", now: "Any", elapsed: float) -> bool:
     if key in _AGE_KEYS:
         return bool(abs(now - before - elapsed) > _AGE_NOISE_S)
     amount, share = _TRAFFIC_NOISE if key == _TRAFFIC_KEY else _NOISE.get(key, (0.0, 0.0))
-    return bool(abs(now - before) > max(amount, share * abs(before)))
+    return (is_new or not amount) and bool(abs(now - before) > max(amount, share * abs(before)))
 
 
 def _is_number(value: object) -> bool:
