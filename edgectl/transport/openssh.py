@@ -17,7 +17,6 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
-from pathlib import Path
 from types import MappingProxyType
 from typing import IO, Self
 
@@ -107,9 +106,9 @@ OPENSSH_ERRORS: tuple[tuple[str, type[HostError], str, str], ...] = (
 class OpenSshTransport:
     """Runs ``ssh`` for each command. Keys and agent only, without prompts (BatchMode)."""
 
-    def __init__(self, *, accept_new: bool = False, config_cache: Path | None = None) -> None:
-        """``config_cache``: as of `SshTransport`."""
-        self._resolver = SshConfigResolver(config_cache)
+    def __init__(self, *, accept_new: bool = False, resolver: SshConfigResolver | None = None) -> None:
+        """``resolver``: as of `SshTransport`."""
+        self._resolver = resolver or SshConfigResolver()
         self._strict = "accept-new" if accept_new else "yes"
 
     def connect(self, host: Host, *, timeout: float) -> "OpenSshSession":

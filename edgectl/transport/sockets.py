@@ -283,26 +283,73 @@ def hang_up(line: object) -> None:
             line.close()  # type: ignore[attr-defined]
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class DeadlineWatch:
-    """Whether a deadline passed while it was watched."""
+    """A block that is watched: ``action`` is called where it has not ended at ``deadline`` (s, monotonic).
 
+    ``expired``: whether it was.
+    """
+
+    deadline: float
+    action: Callable[[], object]
     expired: bool = False
+
+
+class _Watchdog:
+    """One thread that watches all blocks; it runs while there are any, and ends when it next finds none.
+
+    A thread of its own for each block took 0.15 ms of CPU (ADR 203).
+    """
+
+    def __init__(self) -> None:
+        self._watches: set[DeadlineWatch] = set()
+        self._changed = threading.Condition()
+        self._thread: threading.Thread | None = None
+        self._looks_at = 0.0
+
+    def add(self, watch: DeadlineWatch) -> None:
+        """Watch a block."""
+        with self._changed:
+            self._watches.add(watch)
+            if self._thread is None or not self._thread.is_alive():
+                self._looks_at = watch.deadline
+                self._thread = threading.Thread(target=self._run, name="edgectl-watchdog", daemon=True)
+                self._thread.start()
+            elif watch.deadline < self._looks_at:
+                self._looks_at = watch.deadline
+                self._changed.notify()
+
+    def remove(self, watch: DeadlineWatch) -> None:
+        """Watch a block no longer; the thread sleeps on."""
+        with self._changed:
+            self._watches.discard(watch)
+
+    def _run(self) -> None:
+        with self._changed:
+            while self._watches:
+                self._looks_at = min(watch.deadline for watch in self._watches)
+                self._changed.wait(min(max(0.0, self._looks_at - time.monotonic()), threading.TIMEOUT_MAX))
+                self._end_expired()
+            self._thread = None
+
+    def _end_expired(self) -> None:
+        now = time.monotonic()
+        for watch in [watch for watch in self._watches if watch.deadline <= now]:
+            self._watches.remove(watch)
+            watch.expired = True
+            # In a thread of its own: the end of a line behind a jump host may wait for that host.
+            threading.Thread(target=watch.action, daemon=True).start()
+
+
+_WATCHDOG = _Watchdog()
 
 
 @contextlib.contextmanager
 def watchdog(seconds: float, action: Callable[[], object]) -> Iterator[DeadlineWatch]:
     """Call ``action`` from another thread if the block has not ended in ``seconds``."""
-    watch = DeadlineWatch()
-
-    def bite() -> None:
-        watch.expired = True
-        action()
-
-    timer = threading.Timer(max(0.0, seconds), bite)
-    timer.daemon = True
-    timer.start()
+    watch = DeadlineWatch(deadline=time.monotonic() + max(0.0, seconds), action=action)
+    _WATCHDOG.add(watch)
     try:
         yield watch
     finally:
-        timer.cancel()
+        _WATCHDOG.remove(watch)

@@ -5,7 +5,7 @@ import logging
 import secrets
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,15 +15,14 @@ import paramiko
 
 from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError, HostKeyError
 from edgectl.model.inventory import Host
+from edgectl.transport.early_lines import EarlyLine, explain_timeout, get_connect_seconds, open_tcp_line
 from edgectl.transport.host_keys import HostKeyVerifier
 from edgectl.transport.jump_hosts import JumpHosts
 from edgectl.transport.known_hosts import HostKey, HostKeyVerdict
 from edgectl.transport.passwords import PasswordStore
 from edgectl.transport.sockets import (
-    CONNECT_TIMEOUT_S,
     MAX_LOGIN_BYTES,
     Line,
-    connect_tcp,
     hang_up,
     start_proxy_command,
     watchdog,
@@ -41,6 +40,9 @@ KEEPALIVE_S = 15
 T = TypeVar("T")
 # Makes a client of a host on a line, with what it verifies and how it logs in.
 PrepareClient = Callable[[ResolvedHost, HostKeyVerifier, Line, LoginStrategy], PreparedClient]
+# A connected line, and what is to be called after it.
+OpenedLine = tuple[Line, Callable[[], None]]
+OpenLine = Callable[[], AbstractContextManager[OpenedLine]]
 # paramiko logs what it also raises; the logger can still be configured.
 logging.getLogger("paramiko").addHandler(logging.NullHandler())
 
@@ -54,7 +56,7 @@ class SshTransport:
 
     ``accept_new`` records the keys of unknown hosts; a changed key is refused all the same. ``ask_password``
     is called with a prompt, once per host, where keys are refused and the host allows passwords; None never
-    asks. ``config_cache`` is the file with what ssh_config said in earlier runs; None always asks.
+    asks. ``resolver`` may be shared with others; None makes one that keeps nothing for later runs.
     """
 
     def __init__(
@@ -62,20 +64,23 @@ class SshTransport:
         *,
         accept_new: bool = False,
         ask_password: Callable[[str], str] | None = None,
-        config_cache: Path | None = None,
+        resolver: SshConfigResolver | None = None,
     ) -> None:
-        self._resolver = SshConfigResolver(config_cache)
+        self._resolver = resolver or SshConfigResolver()
         self._keyring = Keyring()
         self._host_keys = HostKeyVerifier(accept_new=accept_new)
         self._jumps = JumpHosts(self._open_jump)
         self._passwords = PasswordStore(ask_password)
 
-    def connect(self, host: Host, *, timeout: float) -> SshSession:
-        """Open a session (see `Transport.connect`); the time of a password prompt does not count."""
+    def connect(self, host: Host, *, timeout: float, early: EarlyLine | None = None) -> SshSession:
+        """Open a session (see `Transport.connect`); the time of a password prompt does not count.
+
+        ``early``: a connection that was opened for the first attempt.
+        """
         deadline = time.monotonic() + timeout
         resolved = self._resolver.resolve(host, timeout=timeout)
         try:
-            return self._login(resolved, deadline)
+            return self._login(resolved, deadline, early=early)
         except AuthError as refusal:
             password = (
                 self._passwords.get(host, f"{resolved.user}@{resolved.given}")
@@ -134,16 +139,23 @@ class SshTransport:
         password: str | None = None,
         *,
         prepare: PrepareClient = prepare_client,
+        early: EarlyLine | None = None,
     ) -> SshSession:
+        open_line = partial(self._line, resolved, deadline, early)
         return _retry_while_busy(
-            partial(self._attempt, resolved, deadline, password, prepare), deadline, resolved.name
+            partial(self._attempt, resolved, deadline, password, prepare, open_line), deadline, resolved.name
         )
 
     def _attempt(
-        self, resolved: ResolvedHost, deadline: float, password: str | None, prepare: PrepareClient
+        self,
+        resolved: ResolvedHost,
+        deadline: float,
+        password: str | None,
+        prepare: PrepareClient,
+        open_line: OpenLine,
     ) -> SshSession:
         login = LoginStrategy(resolved.user, self._keyring.keys_for(resolved), password)
-        with self._line(resolved, deadline) as (line, done), self._deadline(resolved, line, deadline):
+        with open_line() as (line, done), self._deadline(resolved, line, deadline):
             made = prepare(resolved, self._host_keys, line, login)
             try:
                 made.open()
@@ -159,35 +171,13 @@ class SshTransport:
             return session
 
     @contextmanager
-    def _line(self, resolved: ResolvedHost, deadline: float) -> Iterator[tuple[Line, Callable[[], None]]]:
+    def _line(
+        self, resolved: ResolvedHost, deadline: float, early: EarlyLine | None = None
+    ) -> Iterator[OpenedLine]:
         """A connected line for SSH, and a function to call after it; closed where the block raises."""
-        seconds = min(
-            CONNECT_TIMEOUT_S, resolved.connect_timeout or CONNECT_TIMEOUT_S, deadline - time.monotonic()
-        )
-        if seconds <= 0:
-            raise ConnectError(
-                f"no time was left to connect to {resolved.hostname} port {resolved.port}",
-                hint="this machine is busy: give more time with --timeout",
-                host=resolved.name,
-            )
-        line: Line
-        done: Callable[[], None] = _release_nothing
         try:
-            if resolved.proxy_jump:
-                line, done = self._jumps.channel(
-                    resolved.proxy_jump, (resolved.hostname, resolved.port), deadline
-                )
-            elif resolved.proxy_command:
-                line = start_proxy_command(resolved.proxy_command)
-            else:
-                line = connect_tcp(resolved.hostname, resolved.port, timeout=seconds)
-        except TimeoutError as error:
-            message = f"no answer from {resolved.hostname} port {resolved.port} within {seconds:.3g} s"
-            raise ConnectError(
-                message,
-                hint="check that it is switched on and that its address is correct",
-                host=resolved.name,
-            ) from error
+            taken = None if early is None else early.take()
+            line, done = (taken, _release_nothing) if taken else self._open_line(resolved, deadline)
         except Exception as error:
             ours = translate_ssh_error(error, resolved.name)
             raise ours from (None if ours is error else error)
@@ -198,6 +188,15 @@ class SshTransport:
                 line.close()
             done()
             raise
+
+    def _open_line(self, resolved: ResolvedHost, deadline: float) -> OpenedLine:
+        if not resolved.proxy_jump and not resolved.proxy_command:
+            return open_tcp_line(resolved, deadline), _release_nothing
+        with explain_timeout(resolved, get_connect_seconds(resolved, deadline)):
+            if resolved.proxy_jump:
+                target = resolved.hostname, resolved.port
+                return self._jumps.channel(resolved.proxy_jump, target, deadline)
+            return start_proxy_command(resolved.proxy_command), _release_nothing
 
     @contextmanager
     def _deadline(self, resolved: ResolvedHost, line: object, deadline: float) -> Iterator[None]:

@@ -81,7 +81,7 @@ class Keyring:
         """Keys in OpenSSH's order: named keys of the agent, its others (unless IdentitiesOnly), files."""
         with self._lock:
             agent = self._agent_keys(resolved.identity_agent)
-            named = {blob for path in resolved.identity_files if (blob := _load_public_blob(path))}
+            named = _load_public_blobs(resolved.identity_files) if agent else set()
             ours = [key for key in agent if key.blob in named]
             others = [] if resolved.identities_only else [key for key in agent if key.blob not in named]
             held = {key.blob for key in [*ours, *others]}
@@ -138,11 +138,13 @@ def _read_key(path: str) -> paramiko.PKey:
     return key
 
 
-def _load_public_blob(path: str) -> bytes | None:
-    """The public key beside a key file: identifies the agent's copy of an encrypted key."""
-    with contextlib.suppress(Exception):
-        return base64.b64decode(Path(path + ".pub").read_text().split()[1], validate=True)
-    return None
+def _load_public_blobs(paths: Sequence[str]) -> set[bytes]:
+    """The public keys beside key files: they identify the agent's copies of encrypted keys."""
+    blobs = set()
+    for path in paths:
+        with contextlib.suppress(Exception):
+            blobs.add(base64.b64decode(Path(path + ".pub").read_text().split()[1], validate=True))
+    return blobs
 
 
 class _PasswordSource(AuthSource):

@@ -93,6 +93,8 @@ class BoundedTransport(paramiko.Transport):
         self._allowance = line.allowance
         # The server's numbers of channels whose end was sent; it gives them again.
         self._ended: set[int] = set()
+        # The line's deadline bounds this, too; paramiko would start a thread for it.
+        self.packetizer.start_handshake = _start_no_timer  # type: ignore[assignment]
 
     def open_channel(self, *args: Any, **options: Any) -> paramiko.Channel:  # noqa: ANN401 - as paramiko has it
         """Open a channel, whose number may be that of one that has ended."""
@@ -132,6 +134,10 @@ class BoundedTransport(paramiko.Transport):
         if threading.current_thread() is self and not self.clear_to_send.is_set():
             return None
         return super().global_request(kind, data, wait)
+
+
+def _start_no_timer(_seconds: float) -> None:
+    """In place of a thread that ends a handshake."""
 
 
 def _build_transport(

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -269,3 +270,36 @@ def test_watchdog() -> None:
         pass
     assert bitten.is_set()
     assert not watch.expired
+
+
+def test_blocks_share_a_watchdog() -> None:
+    with watchdog(60, list), ExitStack() as blocks:
+        before = set(threading.enumerate())
+        for _ in range(20):
+            blocks.enter_context(watchdog(60, list))
+        assert set(threading.enumerate()) <= before
+
+
+def test_a_watchdog_waits_for_no_block_and_no_action() -> None:
+    """Neither for one that may take longer, nor for an action that hangs."""
+    bitten, over = threading.Event(), threading.Event()
+    try:
+        with watchdog(3600, list), watchdog(0.01, over.wait) as hanging:
+            while not hanging.expired:
+                over.wait(0.01)
+            with watchdog(0.01, bitten.set):
+                assert bitten.wait(30)
+    finally:
+        over.set()
+
+
+def test_a_watchdog_ends_where_there_is_nothing_to_watch() -> None:
+    with watchdog(0.05, list):
+        pass
+    left = time.monotonic() + 60
+    while any(thread.name == "edgectl-watchdog" for thread in threading.enumerate()):
+        assert time.monotonic() < left
+        time.sleep(0.01)
+    bitten = threading.Event()
+    with watchdog(0.01, bitten.set):
+        assert bitten.wait(30)
