@@ -4,5 +4,5 @@
 Four rooms: ``link`` (request and reply), ``measure`` (profilers), ``supervise`` (start, supervision, state,
 stop), ``daemon`` (resident profiler). Standard library only, psutil where importable, Python 3.6 and later,
 and nothing of the rest of edgectl: the package is sent as one archive, cached under its hash, and imported as
-``edgectl_agent``. ``link/stub.py`` and ``link/boot.py`` are sent with every request.
+``edgectl_agent``. ``link/first.py``, ``link/stub.py`` and ``link/boot.py`` are sent with every request.
 """

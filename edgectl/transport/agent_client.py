@@ -33,8 +33,8 @@ _NOT_FOUND_PATTERN = re.compile(
     rb"not found|no such file or directory|unknown command|cannot execute", re.IGNORECASE
 )
 _TOO_OLD_PATTERN = re.compile(rb"unknown option:? -[IS]", re.IGNORECASE)
-# Comments and docstrings of the stub, which travels with each request as it is: a third of it.
-_NOTE_PATTERN = re.compile(rb'^ *(?:#.*|"""[^"]*""")\n', re.MULTILINE)
+# Comments and docstrings of the first program, which travels with each request as it is: a third of it.
+_NOTE_PATTERN = re.compile(rb'^ *(?:#.*|"""[^"]*""")\n|  # .*', re.MULTILINE)
 # Of the reason of a refusal, characters.
 _MAX_MESSAGE = 1000
 # Of the length of a chunk of a log, digits.
@@ -60,9 +60,9 @@ def use_cache_key(fleet: str, key: str) -> None:
 
 @cache
 def _read_boot_programs() -> bytes:
-    """The stub and the boot program, each after its length; most hosts never unpack the latter."""
-    stub, boot = (read_program(AGENT_DIR / "link" / name) for name in ("stub.py", "boot.py"))
-    programs = (_NOTE_PATTERN.sub(b"", stub), zlib.compress(boot, 9))
+    """The first program, and the other two packed, each after its length; few hosts unpack them."""
+    first, *others = (read_program(AGENT_DIR / "link" / name) for name in ("first.py", "stub.py", "boot.py"))
+    programs = (_NOTE_PATTERN.sub(b"", first), zlib.compress(b"\0".join(others), 9))
     return b"".join(b"%d\n%s" % (len(text), text) for text in programs)
 
 
@@ -70,7 +70,7 @@ def build_packet(request: Mapping[str, object], marker: str, timeout: float, age
     """The standard input of one request: programs, head, request, and ``agent``, compressed."""
     body = json.dumps(request, allow_nan=False).encode()
     key = _CACHE_KEYS.get(str(request.get("fleet")), _PROCESS_KEY)
-    operation = request["op"] if request.get("op") in protocol.REQUEST_KEYS else "unknown"
+    operation = request["op"] if protocol.is_name(request.get("op")) else "unknown"
     packed = _pack_agent(agent) if agent else b""
     head = f"{marker} {compute_agent_hash()} {len(body)} {len(packed)} {timeout:.3f} {key} {operation}\n"
     return _read_boot_programs() + head.encode() + body + packed

@@ -2,6 +2,7 @@
 """Boot of the agent: sent once, cached under its hash, verified each time, run from memory."""
 
 import ast
+import graphlib
 import hashlib
 import os
 import shutil
@@ -31,7 +32,7 @@ from tests.pace import patience
 AGENT = Path(edgectl.__file__).parent / "agent"
 
 
-# The stub's expression for the directory in shared memory.
+# The first program's expression for the directory in shared memory.
 SHARED = b'"/dev/shm/edgectl-%d" % posix.geteuid()'
 
 
@@ -117,6 +118,18 @@ def test_directory_that_others_may_write_is_not_used(host: AgentHost, memory: Pa
     assert stat.S_IMODE(fallback.stat().st_mode) == 0o600
 
 
+def test_code_in_shared_memory_is_found_by_the_next_request(host: AgentHost, memory: Path) -> None:
+    """The first program looks in the usual directory alone, and the stub there."""
+    host.state.mkdir(mode=0o700)
+    host.state.chmod(0o777)
+    host.ask("status", task=None)
+    (code,) = memory.rglob("status.*.code")
+    before = code.stat()
+    assert host.ask("status", task=None)["tasks"] == {}
+    after = code.stat()
+    assert (after.st_ino, after.st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
+
+
 def test_runs_from_memory_where_nothing_can_be_kept(host: AgentHost, tmp_path: Path) -> None:
     program = (
         f"import sys; sys.path.insert(0, {str(AGENT / 'link')!r})\n"
@@ -188,12 +201,13 @@ def test_nothing_is_compiled_twice(host: AgentHost) -> None:
     host.ask("status", task=None)
     before = find_code(host).stat()
     run = host.session.run
-    boot_program = zlib.compress(read_program(AGENT / "link" / "boot.py"), 9)
-    assert boot_program in protocol._read_boot_programs()
-    damaged = boot_program[::-1]
+    programs = [read_program(AGENT / "link" / name) for name in ("stub.py", "boot.py")]
+    packed = zlib.compress(b"\0".join(programs), 9)
+    assert packed in protocol._read_boot_programs()
+    damaged = packed[::-1]
 
     def run_damaged(command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
-        return run(command, stdin.replace(boot_program, damaged, 1), timeout=timeout, limit=limit)
+        return run(command, stdin.replace(packed, damaged, 1), timeout=timeout, limit=limit)
 
     host.session.run = run_damaged  # type: ignore[method-assign]
     assert host.ask("status", task=None)["tasks"] == {}
@@ -306,6 +320,29 @@ def test_packages_of_the_agent_have_no_code() -> None:
     for path in AGENT.rglob("__init__.py"):
         (docstring,) = ast.parse(path.read_text()).body
         assert isinstance(docstring, ast.Expr), f"{path}: the boot program does not run it"
+
+
+def list_needs(path: Path) -> set[str]:
+    """The modules of the agent that one imports when its code runs."""
+    found = set()
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.ImportFrom) and node.level:
+            folder = path.parents[node.level - 1].joinpath(*(node.module or "").split("."))
+            names = (
+                [folder.with_suffix(".py")]
+                if not folder.is_dir()
+                else [folder / f"{each.name}.py" for each in node.names]
+            )
+            found |= {name.relative_to(AGENT).as_posix() for name in names}
+    return found
+
+
+def test_modules_of_the_agent_need_each_other_in_no_circle() -> None:
+    """The boot program runs them in an order, each after those that it imports."""
+    needs = {path.relative_to(AGENT).as_posix(): list_needs(path) for path in AGENT.rglob("*.py")}
+    assert needs["measure/network.py"] >= {"link/protocol.py", "measure/sockets.py", "link/fast_json.py"}
+    order = list(graphlib.TopologicalSorter(needs).static_order())
+    assert set(order) == set(needs), "each of them is a module"
 
 
 def test_no_user_code_runs_on_the_host(

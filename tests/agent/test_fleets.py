@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from edgectl.agent.link import protocol
+from edgectl.agent.link import document_keys
 from edgectl.agent.supervise import liveness, records
 from edgectl.errors import RefusedError
 from tests.agent.conftest import AgentHost, a_spec, eventually
@@ -92,7 +92,7 @@ def test_a_probe_lists_what_else_lives_on_the_machine(host: AgentHost, other: Ag
         assert [(each["fleet"], each["host"], each["task"]) for each in found] == [
             ("lab", "edge1", "slam"), ("", "edge1", "web"), ("hall", "edge1", "slam"),
         ]  # fmt: skip
-        assert all(set(each) == set(protocol.OTHER_TASK_KEYS) for each in found)
+        assert all(set(each) == set(document_keys.OTHER_TASK_KEYS) for each in found)
         own, _, foreign = found
         assert (own["instance"], own["generation"], own["state"]) == ("i1", 4, "running")
         assert (foreign["started_by"], foreign["instance"]) == ("paula@laptop", "theirs")

@@ -132,6 +132,21 @@ def test_what_was_closed_is_collected_at_once_and_not_in_the_next_window() -> No
             assert [tx // 1000 for tx in found] == [1]
 
 
+def test_what_was_closed_before_the_window_is_forgotten() -> None:
+    """Also where the kernel reports it later, and nothing that is closed after that."""
+    robot = f"{NET}.35"
+    with contextlib.closing(sockets.CloseListener({sockets.pack_address(robot)})) as listener:
+        for number in range(20):
+            for size, act in ((2_000, listener.forget), (1_000, lambda: None)):
+                with connected(robot) as (near, far):
+                    sent(near, far, size)
+                    for each in (near, far):
+                        each.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                act()
+            found = [each.tx // 1000 for each in listener.collect() if each.remote[0] == robot]
+            assert found == [1], number
+
+
 def test_a_connection_that_ends_while_connections_are_listed_counts_once() -> None:
     """The kernel says so after the closed ones were collected, so the listing lacks it and the report is late."""
     robot = f"{NET}.33"

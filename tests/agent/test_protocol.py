@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edgectl.agent.link import main, protocol
+from edgectl.agent.link import document_keys, main, protocol
 from edgectl.agent.link.errors import RefusalError
 from edgectl.executor import host_requests as requests
 from edgectl.gateway.probe_request import build_probe_request
@@ -73,15 +73,15 @@ def test_requests_of_the_manager_have_the_stated_keys() -> None:
         ),
     ]
     for request in sent:
-        assert set(request) == {"op", "fleet", "host", *protocol.REQUEST_KEYS[str(request["op"])]}
+        assert set(request) == {"op", "fleet", "host", *document_keys.REQUEST_KEYS[str(request["op"])]}
     spec = sent[0]["spec"]
     assert isinstance(spec, dict)
-    assert set(spec) == set(protocol.SPEC_KEYS)
+    assert set(spec) == set(document_keys.SPEC_KEYS)
     rule = StandbyRule(activation=Activation(activate=Check(command="a"), deactivate=Check(command="d")))
     sent_rule = requests.build_start_request(replace(task, standby=rule), edge, fleet.hosts, role="standby")
     spec = sent_rule["spec"]
     assert isinstance(spec, dict)
-    assert set(spec["activation"]) == set(protocol.ACTIVATION_KEYS)
+    assert set(spec["activation"]) == set(document_keys.ACTIVATION_KEYS)
     assert (sent_rule["role"], sent[0]["role"]) == ("standby", "active")
 
 
@@ -91,13 +91,13 @@ def test_replies_of_the_agent_have_the_stated_keys(host: AgentHost) -> None:
     host.until("work", "failed")
     reply = host.ask("probe", window_s=0.05, detect=[{"task": "none", "cmdline": "no-such-thing"}])
     of_hardware = {"gpu", "gpu_memory", "power", "battery"} - set(reply)
-    assert set(reply) == set(protocol.PROBE_KEYS) - {"resident", "sample_age_s", "lease"} - of_hardware
+    assert set(reply) == set(document_keys.PROBE_KEYS) - {"resident", "sample_age_s", "lease"} - of_hardware
     host.ask("profiler-start", every_s=0.2, ttl_s=600.0)
     try:
-        assert set(host.ask("probe", window_s=0.05)) <= set(protocol.PROBE_KEYS)
+        assert set(host.ask("probe", window_s=0.05)) <= set(document_keys.PROBE_KEYS)
     finally:
         host.ask("profiler-stop")
     host.stop("slam")
-    assert set().union(*reply["tasks"].values()) == set(protocol.ENTRY_KEYS) - (
+    assert set().union(*reply["tasks"].values()) == set(document_keys.ENTRY_KEYS) - (
         {"metrics", "orphaned", "adoptable", "engine", "container"} - set(reply["tasks"]["slam"])
     )

@@ -27,13 +27,13 @@ LEASE = {"holder": "ana", "session": "s1", "epoch": 1}
 ALWAYS = {"stat", "_stat", "posixpath", "genericpath", "gc", "_blake2", "_json"}
 TASKS = {"zlib", "fcntl"}
 REQUESTS: dict[str, tuple[dict[str, Any], set[str], int]] = {
-    "status": ({"task": None}, set(), 17),
-    "logs": ({"task": "slam", "tail": 10}, {"select"}, 19),
-    "lease": ({"action": "renew", "lease": LEASE}, TASKS, 16),
-    "stop": ({"task": "slam", "instance": None, "generation": None, "stop": None}, TASKS, 25),
-    "wait": ({"task": "slam", "instance": "i1", "timeout_s": 0.0}, set(), 17),
-    "probe": ({"window_s": 0.0}, set(), 22),
-    "probe of a link": ({"window_s": 0.0, "links": LINKS}, {"_socket", "select", "errno"}, 27),
+    "status": ({"task": None}, set(), 14),
+    "logs": ({"task": "slam", "tail": 10}, {"select"}, 16),
+    "lease": ({"action": "renew", "lease": LEASE}, TASKS, 13),
+    "stop": ({"task": "slam", "instance": None, "generation": None, "stop": None}, TASKS, 22),
+    "wait": ({"task": "slam", "instance": "i1", "timeout_s": 0.0}, set(), 14),
+    "probe": ({"window_s": 0.0}, set(), 19),
+    "probe of a link": ({"window_s": 0.0, "links": LINKS}, {"_socket", "select", "errno"}, 24),
     "start": (
         {
             "task": "done",
@@ -42,14 +42,34 @@ REQUESTS: dict[str, tuple[dict[str, Any], set[str], int]] = {
             "spec": a_spec("exec sleep 600", runtime="process"),
         },
         {"select", *TASKS},
-        38,
+        35,
     ),
 }
 
 
+# Reports each module of the agent whose code runs: the boot program makes most of them without an import.
+REPORTING = (
+    "import sys; sys.addaudithook(lambda event, given: event == 'exec' and getattr(given[0], 'co_filename', '')"
+    ".startswith('edgectl_agent/') and sys.stderr.write('runs: %s\\n' % given[0].co_filename))"
+)
+
+
 def list_modules(text: str) -> set[str]:
-    """The modules in the report of ``-X importtime``."""
-    return set(re.findall(r"^import time:.*\|\s*(\S+)$", text, re.MULTILINE)) - {"package"}
+    """The modules in the report of ``-X importtime``, and those of the agent whose code ran."""
+    imported = set(re.findall(r"^import time:.*\|\s*(\S+)$", text, re.MULTILINE)) - {"package"}
+    ran = {name.replace("/", ".") for name in re.findall(r"^runs: (\S+)\.py$", text, re.MULTILINE)}
+    return imported | ran
+
+
+def report_modules(host: AgentHost, folder: Path) -> Path:
+    """Let the agent of ``host`` report its modules to a file, at each request anew."""
+    report, python = folder / "imports", folder / "python3"
+    python.write_text(
+        f'#!/bin/sh\nexec {sys.executable} -X importtime -I -S -c "{REPORTING}\n$4" 2>{report}\n'
+    )
+    python.chmod(0o700)
+    host.session.python = str(python)
+    return report
 
 
 @pytest.fixture
@@ -68,10 +88,7 @@ def test_request_loads_no_more_than_it_needs(
     host: AgentHost, tmp_path: Path, bare: set[str], name: str
 ) -> None:
     (fields, allowed, own), op = REQUESTS[name], name.split()[0]
-    report, python = tmp_path / "imports", tmp_path / "python3"
-    python.write_text(f'#!/bin/sh\nexec {sys.executable} -X importtime "$@" 2>{report}\n')
-    python.chmod(0o700)
-    host.session.python = str(python)
+    report = report_modules(host, tmp_path)
     # The first request of an operation may have to compile its code, which takes more modules.
     for number in range(2):
         try:
@@ -91,20 +108,30 @@ def test_code_of_a_request_does_not_grow_unseen(host: AgentHost) -> None:
     host.ask("status", task=None)
     host.ask("probe", window_s=0.0)
     sizes = {path.name.split(".")[0]: path.stat().st_size for path in host.state.rglob("*.code")}
-    assert sizes["status"] < 122_000
-    assert sizes["probe"] < 166_000
+    assert sizes["status"] < 119_000
+    assert sizes["probe"] < 162_000
     host.ask("probe", window_s=0.0, links=LINKS)
     (code,) = host.state.rglob("probe.*.code")
-    assert code.stat().st_size < 230_000
+    assert code.stat().st_size < 226_000
+
+
+def test_what_a_module_imports_is_made_without_an_import(host: AgentHost, tmp_path: Path) -> None:
+    """By the order that the first request has recorded; what is imported in a function is imported as ever."""
+    report = report_modules(host, tmp_path)
+    ran = []
+    for _ in range(2):
+        host.ask("probe", window_s=0.0, links=LINKS)
+        ran.append(set(re.findall(r"^runs: (\S+)$", report.read_text(), re.MULTILINE)))
+    # The first one had to compile.
+    assert ran[0] - ran[1] == {"edgectl_agent/link/cache.py", "edgectl_agent/link/stub.py"}
+    imported = set(re.findall(r"\| +(edgectl_agent\S+)$", report.read_text(), re.MULTILINE))
+    assert imported == {"edgectl_agent.measure.probe", "edgectl_agent.measure.link_meter"}
 
 
 def test_what_one_probe_needed_another_does_not_unmarshal(host: AgentHost, tmp_path: Path) -> None:
     """The code of links is in the file of all probes, and a probe without links runs none of it."""
     host.ask("probe", window_s=0.0, links=LINKS)
-    report, python = tmp_path / "imports", tmp_path / "python3"
-    python.write_text(f'#!/bin/sh\nexec {sys.executable} -X importtime "$@" 2>{report}\n')
-    python.chmod(0o700)
-    host.session.python = str(python)
+    report = report_modules(host, tmp_path)
     host.ask("probe", window_s=0.0)
     loaded = list_modules(report.read_text())
     (code,) = host.state.rglob("probe.*.code")
@@ -117,7 +144,7 @@ def test_what_one_probe_needed_another_does_not_unmarshal(host: AgentHost, tmp_p
 def test_the_program_that_is_compiled_at_each_request_is_short() -> None:
     programs = agent_client._read_boot_programs()
     length = int(programs.partition(b"\n")[0])
-    assert length < 2_350
+    assert length < 1_480
 
 
 def test_part_of_os_becomes_the_whole_where_more_is_needed(tmp_path: Path) -> None:

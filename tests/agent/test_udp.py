@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from edgectl.agent.measure import udp
+from edgectl.agent.measure import proc, udp
 from tests.agent.conftest import AgentHost, Profiled, eventually
 from tests.agent.test_probe import build_links, has_v6
 
@@ -64,11 +64,11 @@ def test_addresses_of_ipv6_are_read_and_mapped_ones_are_ipv4() -> None:
 
 
 def test_sockets_on_any_port_count_while_datagrams_pass() -> None:
-    meter = udp.UdpMeter()
+    meter = udp.UdpMeter(proc.read_network_counters())
     with bound("0.0.0.0") as made, bound("127.0.0.1") as peer:
         for _ in range(2000):
             made.sendto(b"x", peer.getsockname())
-        assert meter.find_sockets()[os.fstat(made.fileno()).st_ino] == ""
+        assert meter.find_sockets(proc.read_network_counters())[os.fstat(made.fileno()).st_ino] == ""
 
 
 def test_a_probe_says_which_links_and_tasks_are_partly_seen(host: AgentHost) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from edgectl.agent.link import protocol
+from edgectl.agent.link import document_keys, protocol
 from edgectl.errors import ReplyError
 from edgectl.gateway.fanout import HostReply
 from edgectl.gateway.ros_graph import build_graph_request, decode_graph
@@ -51,7 +51,7 @@ def test_another_document_is_refused(changed: dict[str, object]) -> None:
 def test_the_request_has_the_stated_keys_and_the_environment_of_tasks() -> None:
     edge = an_edge("edge1", ros=RosSettings(version=2, domain=7), env={"ROS_LOCALHOST_ONLY": "1"})
     request = build_graph_request(edge, ["10.0.0.21"], timeout_s=8.0)
-    assert set(request) == {"op", "fleet", "host", *protocol.REQUEST_KEYS[protocol.OP_GRAPH]}
+    assert set(request) == {"op", "fleet", "host", *document_keys.REQUEST_KEYS[protocol.OP_GRAPH]}
     assert (request["version"], request["env"]) == (
         2,
         {"ROS_DOMAIN_ID": "7", "ROS_LOCALHOST_ONLY": "1", "EDGECTL_HOST": "edge1"},

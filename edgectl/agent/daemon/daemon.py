@@ -83,7 +83,7 @@ class ProfilerDaemon:
         self.addresses = network.resolve_robots(self.links)
         self.peers = network.resolve_robots(self.peer_links)
         self.traffic = network.TrafficMeter(dict(self.addresses, **self.peers))
-        self.udp = UdpMeter()
+        self.udp = UdpMeter(self.traffic.counters)
         self.counted: "CounterMeter | None" = None
         self.wireless = interfaces.start_radio_meter()
         self.hardware = device.start_hardware_meter()
@@ -137,7 +137,7 @@ class ProfilerDaemon:
         cpu, flows = self.cpu.measure(), self.traffic.flows(probes.opened)
         before, self.totals = self.totals, interfaces.read_interface_bytes()
         probes.close(self.addresses)
-        udp = self.udp.find_sockets()
+        udp = self.udp.find_sockets(self.traffic.counters)
         counted = (
             None if self.counted is None else self.counted.measure_rarely(self.addresses, self.slow["routes"])
         )

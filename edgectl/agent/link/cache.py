@@ -4,8 +4,7 @@
 import marshal
 import os
 
-from .boot import FINGERPRINT, PACKAGE, AgentImporter, make_private_dir, read_file, split_code
-from .protocol import OP_CONVERSE
+from .boot import FINGERPRINT, NEEDS, PACKAGE, AgentImporter, make_private_dir, read_file, split_code
 from .stub import SEAL_BYTES, compute_seal, name_code
 
 TYPE_CHECKING = False
@@ -41,6 +40,9 @@ def write_bundle(importer: AgentImporter, operation: str) -> None:
     Each file begins with a seal by the manager's key, which is on no disk of this host: a task of the same
     login can write there, and no code of its own runs.
     """
+    # Where it is loaded first, it is none of the modules that the first one of each request needs.
+    from .protocol import OP_CONVERSE
+
     folder = str(importer.folder)
     path = _find_code_path(importer, folder, operation)
     partial = "%s.%d" % (path, os.getpid())
@@ -64,18 +66,19 @@ def write_bundle(importer: AgentImporter, operation: str) -> None:
 def join_code(bundle: "Bundle") -> bytes:
     """Join the code of modules to one file, each apart: a request unmarshals what it needs (``split_code``).
 
-    The boot program comes first. At the end: the fingerprint of the agent and where each module begins and
-    ends, in the order of ``bundle``, and the length of that.
+    The boot program comes first. At the end: the fingerprint of the agent, what each module needs, and where
+    each begins and ends, in the order of ``bundle``, and the length of that.
     """
     joined, spans = bytearray(), {}
-    for name in sorted(bundle, key=lambda each: each != BOOT):
+    names = [name for name in bundle if name not in (FINGERPRINT, NEEDS)]
+    for name in sorted(names, key=lambda each: each != BOOT):
         code, begin = bundle[name], len(joined)
-        if name != FINGERPRINT and code is not None:
+        if code is not None:
             # One after the other: an agent that stays would keep the memory of all of them.
             joined += code if isinstance(code, memoryview) else marshal.dumps(code)
             spans[name] = begin, len(joined)
-    places = [(name, *spans.get(name, (0, 0))) for name in bundle if name != FINGERPRINT]
-    index = marshal.dumps((bundle[FINGERPRINT], places))
+    places = [(name, *spans.get(name, (0, 0))) for name in names]
+    index = marshal.dumps((bundle[FINGERPRINT], bundle[NEEDS], places))
     joined += index
     joined += len(index).to_bytes(4, "little")
     return bytes(joined)

@@ -188,7 +188,7 @@ class _StayingAgent:
         try:
             # In the order in which they were first imported.
             for name, each in code.items():
-                if each is not None and name != FINGERPRINT:
+                if isinstance(each, memoryview):
                     __import__(name)
         except Exception:  # noqa: BLE001 - a call of its own says what is wrong
             return False

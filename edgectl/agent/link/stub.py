@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""First program of a request: find the boot program as an earlier request compiled it, or compile it.
+"""Second program of a request: find the boot program as an earlier request compiled it, wherever it may be.
 
-The text of this file is sent on standard input before that of ``boot.py``, which is compressed: few requests
-need it. It is as short as it can be, and needs no module that is not built in: to compile one line of it
-takes 10 us of CPU at each request.
+``first.py`` runs the text of this file where it has not found that program in the usual directory; ``boot``
+then has it as it was sent.
 """
 
-import gc
 import marshal
-import posix
 import sys
 
 TYPE_CHECKING = False
@@ -37,19 +34,6 @@ def name_code(key: str, operation: str) -> "tuple[str, str]":
     return compute_seal(key.encode(), b"", b"").hex()[:8], "%s.%x.code" % (operation, sys.hexversion)
 
 
-def list_state_bases() -> "list[str]":
-    """List the state directories of this host, best first; the second is for homes that cannot be written."""
-    names = posix.environ
-    base, home = names.get(b"EDGECTL_STATE_DIR"), names.get(b"HOME")
-    if home is None:
-        from os.path import expanduser
-
-        home = expanduser(b"~")
-    base = base or (names.get(b"XDG_STATE_HOME") or home + b"/.local/state") + b"/edgectl"
-    first = base.decode(sys.getfilesystemencoding(), "surrogateescape")
-    return [first, "/dev/shm/edgectl-%d" % posix.geteuid()]  # noqa: S108 - its owner and mode are checked before use
-
-
 def find_code(bases: "list[str]", sha: str, key: str, operation: str) -> "Union[bytes, memoryview]":
     """Find the code of an operation that has the seal of this manager: ``cache.py`` writes it. Else empty."""
     folder, name = name_code(key, operation)
@@ -67,21 +51,7 @@ def find_code(bases: "list[str]", sha: str, key: str, operation: str) -> "Union[
 
 
 if __name__ == "__main__":
-    # A request leaves no garbage worth the search, which takes 0.2 ms; a supervisor is searched now and then.
-    gc.set_threshold(10000)
-    stdin = sys.stdin.buffer
-    text = stdin.read(int(stdin.readline()))
-    words = stdin.readline().decode("ascii").split()
-    places = list_state_bases()
-    found = find_code(places, words[1], words[5], words[6])
+    found = find_code(places, words[1], words[5], words[6])  # type: ignore[name-defined] # noqa: F821 - of ``first.py``
     if found:
         # The first of what is in the file.
         boot = marshal.loads(found)  # noqa: S302 - sealed
-    else:
-        import zlib
-
-        boot = zlib.decompress(text)
-    exec(boot)  # noqa: S102 - sealed, or sent
-    boot_agent(stdin, words, places, found)  # type: ignore[name-defined] # noqa: F821 - of the boot program
-    # The end of the interpreter would take 2 ms of CPU.
-    posix._exit(0)  # noqa: SLF001 - its name

@@ -24,7 +24,7 @@ class LinkMeter:
         """Measure from now on."""
         self._counted = network.start_counter_meter(state_dir.get_fleet(), self._addresses)
         self._traffic = network.TrafficMeter(dict(self._addresses, **self._peers))
-        self._udp = UdpMeter()
+        self._udp = UdpMeter(self._traffic.counters)
 
     def start_probes(self) -> network.ConnectProbes:
         """Connect to each robot once, for the round-trip time."""
@@ -34,7 +34,7 @@ class LinkMeter:
         """Measure links and tasks: parts of the reply to a probe."""
         addresses, flows = self._addresses, self._traffic.flows(probes.opened)
         interfaces = network.find_interfaces(addresses)
-        datagrams = self._udp.find_sockets()
+        datagrams = self._udp.find_sockets(self._traffic.counters)
         counted = None if self._counted is None else self._counted.measure(addresses, interfaces)
         measured = tasks.measure(Traffic(flows, datagrams, addresses, counted), seconds)
         probes.close(addresses)

@@ -60,6 +60,7 @@ class TrafficMeter:
     """Meter of the bytes on each connection since its creation or its last measurement.
 
     ``seconds``: between the two listings of the last measurement, which on a loaded host are late.
+    ``counters``: ``proc.read_network_counters`` before the last one.
     """
 
     def __init__(self, addresses: "Addresses") -> None:
@@ -67,11 +68,11 @@ class TrafficMeter:
         self._wanted = _pack_addresses(addresses)
         self._closed = sockets.CloseListener(self._wanted)
         self._gone: "dict[bytes, sockets.TcpConnection]" = {}
-        self._opened = sockets.count_opened()
+        self.counters = proc.read_network_counters()
         self._listed, self._before = self._read_promptly(self._list_connections)
         self.seconds = 0.0
         # Connections closed during that listing were closed before the window.
-        self._closed.collect()
+        self._closed.forget()
 
     def flows(self, opened: int = 0) -> "list[Flow]":
         """Measure: a connection that appeared in the window counts in full.
@@ -84,8 +85,8 @@ class TrafficMeter:
         found = {each.key: each for each in self._closed.collect()}
         then, since = self._gone.copy(), self._listed
         then.update(self._before)
-        before, self._opened = self._opened, sockets.count_opened()
-        none_new = None not in (before, self._opened) and self._opened == (before or 0) + opened
+        before, self.counters = sockets.count_opened(self.counters), proc.read_network_counters()
+        none_new = before is not None and sockets.count_opened(self.counters) == before + opened
         look = none_new and len(self._before) <= sockets.MOST_LOOK_UPS
         self._listed, self._before = self._read_promptly(self._look_up if look else self._list_connections)
         self.seconds = max(1e-3, self._listed - since)
@@ -198,6 +199,8 @@ class ConnectProbes:
         self.reachable: "dict[str, bool | None]" = {}
         self._open: "dict[int, tuple[str, socket.socket, float]]" = {}
         self._poll = select.poll()
+        # To close one takes the time of others here: the kernel wakes whoever listens for closed connections.
+        self._refused: "list[socket.socket]" = []
         # Connections that the kernel has counted as opened.
         self.opened = 0
         for robot, found in addresses.items():
@@ -224,7 +227,10 @@ class ConnectProbes:
             # The kernel's round-trip time of an open connection is exact; our clock includes a late poll.
             measured = sockets.read_rtt_ms(connection) if code == 0 else 0.0
             self.rtt_ms[robot] = measured or (time.monotonic() - started) * 1000.0
-        connection.close()
+        if code == errno.ECONNREFUSED:
+            self._refused.append(connection)
+        else:
+            connection.close()
 
     def wait(self, deadline: float) -> None:
         """Wait until ``deadline`` (monotonic), recording each answer the moment it arrives."""
@@ -242,11 +248,14 @@ class ConnectProbes:
     def close(self, addresses: "Addresses") -> None:
         """Close the unanswered: unreachable where the link layer did not find them either, else unknown."""
         missing = _read_unanswered_neighbours() if self._open else set()
+        for connection in self._refused:
+            connection.close()
         for robot, connection, _ in self._open.values():
             connection.close()
             if addresses[robot][0] in missing:
                 self.reachable[robot] = False
         self._open.clear()
+        self._refused.clear()
 
 
 def _read_unanswered_neighbours() -> "set[str]":

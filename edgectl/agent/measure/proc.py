@@ -53,6 +53,17 @@ def read_file(path: str) -> bytes:
         os.close(fd)
 
 
+def read_network_counters() -> bytes:
+    """Read what this network namespace has counted of IPv4, TCP and UDP since boot."""
+    return read_file("/proc/net/snmp")
+
+
+def find_counters(counters: bytes, protocol: bytes) -> "dict[bytes, bytes]":
+    """Find name -> number of a ``protocol`` (b"Tcp") in ``read_network_counters``."""
+    rows = [row.split() for row in counters.splitlines() if row.startswith(protocol + b":")]
+    return dict(zip(*rows)) if len(rows) == 2 else {}  # noqa: B905 - Python 3.6
+
+
 def read_text(path: str) -> str:
     """Read a file of one value; empty where there is none."""
     return read_file(path).decode("ascii", "replace").strip()

@@ -20,11 +20,15 @@ ROOT = ""
 
 def list_radios() -> "list[str]":
     """List the wireless interfaces, by name."""
-    folder = ROOT + "/sys/class/net"
     try:
-        names = sorted(os.listdir(folder))
+        return _select_radios(sorted(os.listdir(ROOT + "/sys/class/net")))
     except OSError:
-        names = []
+        return []
+
+
+def _select_radios(names: "list[str]") -> "list[str]":
+    """Select the wireless ones of these interfaces."""
+    folder = ROOT + "/sys/class/net"
     stated = proc.read_file(ROOT + "/proc/net/wireless").decode("ascii", "replace").splitlines()[2:]
     listed = {line.partition(":")[0].strip() for line in stated}
     return [
@@ -38,8 +42,8 @@ def list_radios() -> "list[str]":
 
 def read_rates(wanted: "Iterable[str | None]") -> "dict[str | None, float]":
     """Read bytes/s by interface, of those ``wanted`` that are radios and state a rate."""
-    names = set(wanted) - {None}
-    found = {name: _read_rate(name) for name in (list_radios() if names else ()) if name in names}
+    names = sorted(name for name in set(wanted) if name is not None and name != "lo")
+    found = {name: _read_rate(name) for name in (_select_radios(names) if names else ())}
     return {name: rate for name, rate in found.items() if rate}
 
 

@@ -93,13 +93,13 @@ def read_number(data: bytes, at: int, size: int = 4) -> int:
     return int.from_bytes(data[at : at + size], sys.byteorder) if len(data) >= at + size else 0
 
 
-def count_opened() -> "int | None":
+def count_opened(counters: bytes) -> "int | None":
     """Count the connections that this network namespace has opened and accepted since boot.
 
-    None where unknown. Each is counted within the call by which it comes to be.
+    ``counters`` as ``proc.read_network_counters``. None where unknown. Each is counted within the call by
+    which it comes to be.
     """
-    rows = [row.split() for row in proc.read_file("/proc/net/snmp").splitlines() if row.startswith(b"Tcp:")]
-    found = dict(zip(*rows)) if len(rows) == 2 else {}  # noqa: B905 - Python 3.6
+    found = proc.find_counters(counters, b"Tcp")
     try:
         return int(found[b"ActiveOpens"]) + int(found[b"PassiveOpens"])
     except (KeyError, ValueError):
@@ -187,6 +187,8 @@ class CloseListener:
     def __init__(self, wanted: "AbstractSet[bytes]" = frozenset()) -> None:
         self._link: "socket.socket | None" = None
         self._wanted = wanted
+        # What was reported before the end of this socket is of no interest; b"": all of it is.
+        self._mark = b""
         try:
             self._link = socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, _NETLINK_SOCK_DIAG)
             self._link.bind((0, _TCP_DESTROYED))
@@ -198,6 +200,10 @@ class CloseListener:
         if self._link is not None:
             self._link.close()
             self._link = None
+
+    def forget(self) -> None:
+        """Forget the connections closed until now, without a wait for the reports of the kernel."""
+        self._mark = b"" if self._link is None else _close_socket()
 
     def collect(self) -> "list[TcpConnection]":
         """Collect the connections closed since the last call.
@@ -216,9 +222,12 @@ class CloseListener:
             for kind, message in _split_messages(data):
                 if message[_COOKIE] == marker:
                     marker = b""
+                elif message[_COOKIE] == self._mark:
+                    found.clear()
                 # A socket that was never connected is a marker, perhaps of another agent.
                 elif kind == _SOCK_DIAG_BY_FAMILY and message[_REMOTE_PORT] != b"\0\0":
                     found += [TcpConnection(message)] if _is_relevant(message, self._wanted) else []
+        self._mark = b""
         return found
 
 

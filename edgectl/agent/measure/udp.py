@@ -18,18 +18,21 @@ _BUSY_PER_S = 20.0
 
 
 class UdpMeter:
-    """Meter of the UDP sockets that may carry traffic between its creation and ``find_sockets``."""
+    """Meter of the UDP sockets that may carry traffic between its creation and ``find_sockets``.
 
-    def __init__(self) -> None:
-        self._since, self._before = time.monotonic(), _count_datagrams()
+    ``counters`` of both: as ``proc.read_network_counters``, read a moment ago.
+    """
 
-    def find_sockets(self) -> "dict[int, str]":
+    def __init__(self, counters: bytes) -> None:
+        self._since, self._before = time.monotonic(), _count_datagrams(counters)
+
+    def find_sockets(self, counters: bytes) -> "dict[int, str]":
         """Find inode -> remote address (empty: it sends to any) of the sockets that leave this address.
 
         The next call looks at the time since this one.
         """
         since, before = self._since, self._before
-        self._since, self._before = time.monotonic(), _count_datagrams()
+        self._since, self._before = time.monotonic(), _count_datagrams(counters)
         rate = (self._before - before) / max(1e-3, self._since - since)
         return find_sockets(rate >= _BUSY_PER_S)
 
@@ -63,10 +66,9 @@ def _read_ephemeral_ports() -> "tuple[int, int]":
     return (int(words[0]), int(words[1])) if len(words) > 1 else _EPHEMERAL
 
 
-def _count_datagrams() -> int:
+def _count_datagrams(counters: bytes) -> int:
     """Count the datagrams that this network namespace has received and sent."""
-    rows = [row.split() for row in proc.read_file("/proc/net/snmp").splitlines() if row.startswith(b"Udp:")]
-    found = dict(zip(*rows)) if len(rows) == 2 else {}  # noqa: B905 - Python 3.6
+    found = proc.find_counters(counters, b"Udp")
     for row in proc.read_file("/proc/net/snmp6").splitlines():
         if row.startswith(b"Udp6"):
             name, _, value = row.partition(b" ")

@@ -204,8 +204,8 @@ def _build_packet(request: Document) -> bytes:
     """Build a request to this very agent, which the host caches under its hash."""
     loader: "Any" = sys.modules[__name__].__loader__
     sources = loader.read_sources()
-    stub, boot = (sources["edgectl_agent/link/" + name] for name in ("stub.py", "boot.py"))
-    programs = b"".join(b"%d\n%s" % (len(text), text) for text in (stub, zlib.compress(boot)))
+    first, *others = (sources["edgectl_agent/link/" + name] for name in ("first.py", "stub.py", "boot.py"))
+    programs = b"".join(b"%d\n%s" % (len(text), text) for text in (first, zlib.compress(b"\0".join(others))))
     body = fast_json.dumps(request).encode("ascii")
     head = "%032x %s %d 0 0 %s %s\n" % (0, loader.sha, len(body), loader.key, request["op"])
     return programs + head.encode("ascii") + body

@@ -73,8 +73,10 @@ def list_host_names(host: str) -> "list[str]":
     Shared memory counts first: it has a record only where the usual directory could not be written.
     """
     for levels in reversed(list_host_dirs(host)):
-        if not is_foreign_base(levels[0]):
-            names = read_record(os.path.join(levels[-1], FORMER_NAMES_FILE_NAME)).get("names", [])
+        path = os.path.join(levels[-1], FORMER_NAMES_FILE_NAME)
+        # The cheapest question comes first: few hosts have such a file.
+        if os.access(path, os.F_OK) and not is_foreign_base(levels[0]):
+            names = read_record(path).get("names", [])
             if names:
                 return [host, *(name for name in names if protocol.is_name(name) and name != host)]
     return [check_name(host)]
@@ -83,7 +85,7 @@ def list_host_names(host: str) -> "list[str]":
 def list_adopted_dirs(host: str) -> "list[str]":
     """List the directories in the layout without fleets whose tasks this fleet has adopted."""
     if not any(
-        os.path.exists(os.path.join(levels[-1], ADOPTION_FILE_NAME)) for levels in list_host_dirs(host)
+        os.access(os.path.join(levels[-1], ADOPTION_FILE_NAME), os.F_OK) for levels in list_host_dirs(host)
     ):
         return []
     found = []
@@ -166,8 +168,8 @@ def find_task_dirs_with(host: str, file_name: str) -> "list[str]":
 
 def _list_tasks_dirs(host: str) -> "list[str]":
     """List the existing directories that have one directory for each task of ``host``."""
-    found = [os.path.join(_list_host_levels(base, host)[-1], "tasks") for base in list_own_bases()]
-    return [folder for folder in found if os.path.isdir(folder)]
+    found = [(base, os.path.join(_list_host_levels(base, host)[-1], "tasks")) for base in BASES]
+    return [folder for base, folder in found if os.path.isdir(folder) and not is_foreign_base(base)]
 
 
 def make_task_dir(host: str, task: str) -> str:
