@@ -106,8 +106,21 @@ CREATE VIEW metric_samples AS
   SELECT at, task, host, name, value, instance, spec_hash, metric FROM starts
   JOIN metrics USING (start) JOIN readings USING (metric);
 """
+# The newest samples of links, until so many have come that they are moved to `loads` together: there each
+# link has pages of its own, all of which a snapshot would write (ADR 205).
+_NEW_LOADS_SCHEMA = """
+CREATE TABLE new_loads (
+  link INTEGER NOT NULL, at REAL NOT NULL, capacity_bytes_per_s REAL NOT NULL,
+  used_bytes_per_s REAL NOT NULL, rtt_ms REAL,
+  PRIMARY KEY (link, at)) STRICT, WITHOUT ROWID;
+CREATE VIEW all_loads AS SELECT * FROM loads UNION ALL SELECT * FROM new_loads;
+DROP VIEW link_samples;
+CREATE VIEW link_samples AS
+  SELECT at, edge, robot, capacity_bytes_per_s, used_bytes_per_s, rtt_ms, link FROM links
+  JOIN all_loads USING (link);
+"""
 # Migrations: the statements that each schema adds to the one before.
-_MIGRATIONS = (_BASE_SCHEMA, _METRICS_SCHEMA)
+_MIGRATIONS = (_BASE_SCHEMA, _METRICS_SCHEMA, _NEW_LOADS_SCHEMA)
 SCHEMA_VERSION = len(_MIGRATIONS)
 # Columns that are added to a file that lacks them, by table: of a resource that is newer than the file, and
 # of what edgectl did not know before. An edgectl that does not know them reads and writes the others.

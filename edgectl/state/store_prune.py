@@ -8,6 +8,7 @@ import sqlite3
 _SAMPLE_TABLES = {
     "host_samples": ("host", "known_hosts"),
     "loads": ("link", "links"),
+    "new_loads": ("link", "links"),
     "uses": ("start", "starts"),
     "readings": ("metric", "metrics"),
 }
@@ -36,7 +37,7 @@ def delete_expired(connection: sqlite3.Connection, *, samples: float, records: f
         "DELETE FROM starts WHERE NOT EXISTS (SELECT 1 FROM uses WHERE uses.start = starts.start)"
     )
     connection.execute(
-        "DELETE FROM links WHERE NOT EXISTS (SELECT 1 FROM loads WHERE loads.link = links.link)"
+        "DELETE FROM links WHERE NOT EXISTS (SELECT 1 FROM all_loads WHERE all_loads.link = links.link)"
     )
     connection.execute("DELETE FROM known_tasks WHERE host IS NULL AND at < ?", (records,))
     connection.execute("DELETE FROM steps WHERE plan NOT IN (SELECT plan FROM plans)")

@@ -173,8 +173,8 @@ HOST_SHARE_QUERIES = {
     for resource in MEASURED_HOST_RESOURCES
 }
 LINK_SHARE_QUERY = (
-    "SELECT used_bytes_per_s / capacity_bytes_per_s FROM loads "
-    "WHERE link = ? AND capacity_bytes_per_s > 0 ORDER BY at DESC LIMIT ?"
+    "SELECT share FROM (SELECT at, used_bytes_per_s / capacity_bytes_per_s AS share FROM all_loads "
+    "WHERE link = ? AND capacity_bytes_per_s > 0 ORDER BY at DESC LIMIT ?)"
 )
 
 

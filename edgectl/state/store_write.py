@@ -20,6 +20,12 @@ _LASTING_KINDS = (EventKind.TASK_DEFERRED, EventKind.TASK_UNPLACED)
 
 # Tasks that are gone and still known; each probe reads all of them.
 _MAX_GONE_TASKS = 1000
+# Snapshots whose samples of links are moved together, once there are so many.
+_SNAPSHOTS_MOVED = 30
+_MOVE_LOADS = (
+    "INSERT OR REPLACE INTO loads SELECT * FROM new_loads WHERE (SELECT count(*) FROM new_loads) >= ?",
+    "DELETE FROM new_loads WHERE (SELECT count(*) FROM new_loads) >= ?",
+)
 
 
 LinkNumbers = dict[tuple[str, str], int]
@@ -42,19 +48,21 @@ def _write_link_samples(connection: sqlite3.Connection, snapshot: Snapshot, numb
         for edge, sample in snapshot.hosts.items()
         for robot, link in sample.links.items()
     ]
-    new = [pair for pair, _ in found if pair not in numbers]
-    if new:
-        connection.executemany("INSERT OR IGNORE INTO links (edge, robot) VALUES (?, ?)", new)
+    unknown = [pair for pair, _ in found if pair not in numbers]
+    if unknown:
+        connection.executemany("INSERT OR IGNORE INTO links (edge, robot) VALUES (?, ?)", unknown)
         numbers.update(load_link_numbers(connection))
     at = snapshot.taken_at
     connection.executemany(
-        "INSERT OR REPLACE INTO loads (link, at, capacity_bytes_per_s, used_bytes_per_s, rtt_ms)"
+        "INSERT OR REPLACE INTO new_loads (link, at, capacity_bytes_per_s, used_bytes_per_s, rtt_ms)"
         " VALUES (?, ?, ?, ?, ?)",
         [
             (numbers[pair], at, link.capacity_bytes_per_s, link.used_bytes_per_s, link.rtt_ms)
             for pair, link in found
         ],
     )
+    for statement in _MOVE_LOADS:
+        connection.execute(statement, (_SNAPSHOTS_MOVED * len(found),))
 
 
 def load_link_numbers(connection: sqlite3.Connection) -> LinkNumbers:

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples of links in the history: where they are gathered and moved, and what a snapshot writes."""
+
+import sqlite3
+from pathlib import Path
+
+from edgectl.model.snapshot import LinkSample
+from edgectl.state.store import Retention, Store
+from edgectl.state.store_file import HISTORY_FILE_NAME, open_database
+from edgectl.state.store_write import write_samples
+from tests.builders import NOW, a_sample, a_snapshot
+
+# As many snapshots as are moved together, twice, and some more.
+SNAPSHOTS = 70
+
+
+def record(store: Store, second: int, *robots: str) -> None:
+    """Record a snapshot in which ``second`` is a hundredth of the capacity of each link."""
+    links = {
+        robot: LinkSample(capacity_bytes_per_s=100.0, used_bytes_per_s=float(second), rtt_ms=1.5)
+        for robot in robots
+    }
+    store.record_snapshot(a_snapshot(taken_at=NOW + second, edge1=a_sample(links=links)))
+
+
+def count_rows(directory: Path, table: str) -> int:
+    connection = sqlite3.connect(directory / HISTORY_FILE_NAME)
+    try:
+        return int(connection.execute(f"SELECT count(*) FROM {table}").fetchone()[0])
+    finally:
+        connection.close()
+
+
+def test_samples_are_read_alike_before_and_after_they_were_moved(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store:
+        for second in range(SNAPSHOTS):
+            record(store, second, "robot2", "robot1")
+            seconds = [point.at - NOW for point in store.link_points("edge1", "robot1")]
+            assert seconds == list(range(second + 1))
+        both = store.link_points()
+        assert [(point.at - NOW, point.robot) for point in both[-4:]] == [
+            (second, robot) for second in (68, 69) for robot in ("robot2", "robot1")
+        ]
+        assert [point.at - NOW for point in store.link_points(robot="robot2", limit=45)] == list(
+            range(25, 70)
+        )
+        assert [point.at - NOW for point in store.link_points(robot="robot2", since=NOW + 58)] == list(
+            range(58, 70)
+        )
+        shares = [shares for name, shares in store.used_shares("edge1", limit=20) if name == "network"]
+        assert shares == [tuple(second / 100 for second in range(50, 70))] * 2
+    moved, new = count_rows(tmp_path, "loads"), count_rows(tmp_path, "new_loads")
+    assert moved > new > 0
+    assert moved + new == count_rows(tmp_path, "link_samples") == 2 * SNAPSHOTS
+
+
+def test_links_that_are_gone_stay_in_the_history_and_expire(tmp_path: Path) -> None:
+    with Store.open(tmp_path, retention=Retention(samples_s=1000.0)) as store:
+        record(store, 0, "robot1")
+        for second in range(1, 40):
+            record(store, second, "robot2")
+        assert [point.at - NOW for point in store.link_points(robot="robot1")] == [0]
+        store.prune(NOW + 1035)
+        assert store.link_points(robot="robot1") == ()
+        assert [point.at - NOW for point in store.link_points()] == [35, 36, 37, 38, 39]
+        store.prune(NOW + 1100)
+    assert [count_rows(tmp_path, table) for table in ("loads", "new_loads", "links")] == [0, 0, 0]
+
+
+def test_a_snapshot_does_not_write_a_page_for_each_link(tmp_path: Path) -> None:
+    """After minutes of a watch each link has pages of its own among the samples that were moved."""
+    connection = open_database(tmp_path / HISTORY_FILE_NAME)
+    # What is written stays in the log, where its pages can be counted.
+    connection.execute("PRAGMA wal_autocheckpoint = 0")
+    numbers: dict[tuple[str, str], int] = {}
+    robots = [f"robot{number}" for number in range(300)]
+    written = []
+    for second in range(240):
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        links = {
+            robot: LinkSample(capacity_bytes_per_s=1e7, used_bytes_per_s=float(second)) for robot in robots
+        }
+        connection.execute("BEGIN IMMEDIATE")
+        write_samples(connection, a_snapshot(taken_at=NOW + second, edge1=a_sample(links=links)), numbers)
+        connection.execute("COMMIT")
+        written.append(connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()[1])
+    connection.close()
+    assert sum(written[-60:]) / 60 < len(robots) / 3
