@@ -198,7 +198,7 @@ class AgentImporter:
         self.sha, self.key, self.folder, self.agent, self.bundle = sha, key, folder, agent, bundle
         # Code that other operations have compiled.
         self.spare: "Bundle" = {}
-        self.sources: "Dict[str, bytes]" = {}
+        self.sources: "Dict[str, memoryview]" = {}
         self._needs: "Dict[str, List[str]]" = bundle.setdefault(NEEDS, {})
         # Names of modules, in the order in which their code was done.
         self._ran: "List[str]" = []
@@ -256,7 +256,7 @@ class AgentImporter:
             self._make_module(name)
         return sys.modules[name]
 
-    def read_sources(self) -> "Dict[str, bytes]":
+    def read_sources(self) -> "Dict[str, memoryview]":
         """Read file name -> source of the agent. ImportError where its hash is another."""
         if not self.sources:
             if self.folder and not self.agent:
@@ -279,14 +279,17 @@ class AgentImporter:
         return name in self.bundle
 
 
-def read_archive(agent: bytes) -> "dict[str, bytes]":
-    """Read file name -> bytes of a zip archive whose members are stored, not compressed."""
-    found, at = {}, 0
+def read_archive(agent: bytes) -> "dict[str, memoryview]":
+    """Read file name -> content of a zip archive whose members are stored, not compressed.
+
+    No copies: an agent that stays would keep their memory.
+    """
+    found, at, view = {}, 0, memoryview(agent)
     while agent[at : at + 4] == b"PK\x03\x04":
         size = int.from_bytes(agent[at + 18 : at + 22], "little")
         name_end = at + 30 + int.from_bytes(agent[at + 26 : at + 28], "little")
         start = name_end + int.from_bytes(agent[at + 28 : at + 30], "little")
-        found[agent[at + 30 : name_end].decode()] = agent[start : start + size]
+        found[agent[at + 30 : name_end].decode()] = view[start : start + size]
         at = start + size
     return found
 

@@ -29,9 +29,11 @@ def prepare_cache(importer: AgentImporter, bases: "List[str]") -> None:
             names = os.listdir(codes)
         except OSError:
             names = []
-        for name in names:
+        # In an order that no file system gives: what stays of the memory of each depends on it.
+        for name in sorted(names):
             if name.endswith(suffix):
-                importer.spare.update(_read_bundle(importer, os.path.join(codes, name)))
+                for module, code in _read_bundle(importer, os.path.join(codes, name)).items():
+                    importer.spare.setdefault(module, code)
 
 
 def write_bundle(importer: AgentImporter, operation: str) -> None:

@@ -232,7 +232,7 @@ def _build_topic_variables(request: Document, folder: str) -> "dict[str, str]":
     topic = request["topic"]
     program = loader.read_sources()["edgectl_agent/ros/latched%d.py" % topic["version"]]
     return {
-        "EDGECTL_STATE_PROGRAM": program.decode("utf-8"),
+        "EDGECTL_STATE_PROGRAM": str(program, "utf-8"),
         "EDGECTL_STATE_TOPIC": str(topic["name"]),
         "EDGECTL_STATE_OF": folder,
         "EDGECTL_STATE_SECONDS": str(max(1.0, float(request["timeout_s"]) - _TOPIC_MARGIN_S)),
