@@ -50,9 +50,9 @@ class FleetTransport:
 
     def address(self, host: Host) -> str:
         """As `Transport.address`."""
-        if host.transport or host.connection is Connection.LOCAL:
-            return self._for(host).address(host)
-        return self._get_resolver().resolve(host).hostname
+        if not host.transport and host.connection in (Connection.SSH, Connection.OPENSSH):
+            return self._get_resolver().resolve(host).hostname
+        return self._for(host).address(host)
 
     def _connect_ssh(self, host: Host, timeout: float) -> Session:
         """Log in by paramiko; while it is still imported, the server on the host starts (ADR 203)."""
