@@ -192,7 +192,9 @@ class SshSession:
                         "the host sent more than any reply has; the connection was closed",
                         hint="something floods it: check the SSH server of the host",
                     ) from error
-                if watch.expired or (time.monotonic() >= deadline and not isinstance(error, HostError)):
+                # A refusal is an answer, also where it is the last one of many and comes late.
+                is_said = isinstance(error, HostError | paramiko.ChannelException)
+                if watch.expired or (time.monotonic() >= deadline and not is_said):
                     raise DeadlineError(f"no answer within {seconds:.3g} s") from error
                 raise
 
