@@ -2,6 +2,7 @@
 """Managers of one fleet that share a real etcd, over simulated hosts of which each may see only a part."""
 
 import dataclasses
+import math
 import os
 import signal
 import threading
@@ -162,9 +163,10 @@ def test_silence_counts_from_the_take_over(site: Site) -> None:
 
 @pytest.fixture
 def short_lease(monkeypatch: pytest.MonkeyPatch) -> float:
-    """The shortest lease that etcd grants here, in seconds."""
-    monkeypatch.setattr(etcd_lease, "ETCD_LEASE_S", 1)
-    return 1.0
+    """The shortest lease in which an apply ends here, in seconds; etcd grants whole ones."""
+    seconds = math.ceil(patience(1.0))
+    monkeypatch.setattr(etcd_lease, "ETCD_LEASE_S", seconds)
+    return float(seconds)
 
 
 def kill_at(point: str, count: int) -> None:
