@@ -594,13 +594,16 @@ def test_a_host_without_compiled_code_is_not_given_up(
         list(pool.map(fleet.start, [f"task{n}" for n in range(4)]))
         assert {operation for _, operation in fleet.transport.calls} == {"probe", "status", "start", "wait"}
         assert fleet.transport.agents == ["edge1"]
+        # On a busy machine it may have ended for silence, and begins again after a rest; one that is given up never does.
+        until(fleet.is_conversed)
+        began = list(fleet.transport.agents)
         del fleet.transport.calls[:]
         for n in range(4):
             fleet.start(f"later{n}")
         fleet.ask("probe", window_s=0.0)
         # Of code that grew one call may be needed.
         assert len(fleet.transport.calls) <= 2
-        assert fleet.transport.agents == ["edge1"]
+        assert fleet.transport.agents == began
         for task in [f"{name}{n}" for name in ("task", "later") for n in range(4)]:
             fleet.stop(task)
 
