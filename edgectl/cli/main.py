@@ -4,12 +4,15 @@
 Nothing is imported here that ``edgectl --help`` does not need.
 """
 
+import contextlib
 import gc
 import itertools
 import os
 import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
+
+from edgectl.module_cache import install_module_cache
 
 _INTERRUPTED = 130  # ExitCode.INTERRUPTED
 # Objects that Python's collector of garbage tracks; an apply has 90,000 at its first connection.
@@ -41,8 +44,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def run() -> NoReturn:
-    """Be the program ``edgectl``: ``main``, and an end that looks for no garbage in what ends anyway."""
+    """Be the program ``edgectl``: ``main``, with modules from one file, and an end that looks for no garbage
+    in what ends anyway.
+    """
+    _replace_closed_streams()
+    modules = install_module_cache()
     code = main()
+    with contextlib.suppress(KeyboardInterrupt):
+        modules.update()
     gc.freeze()
     sys.exit(code)
 
