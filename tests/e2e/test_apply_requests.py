@@ -199,7 +199,9 @@ def time_apply_s(bench: Bench, relays: Sequence[Relay], delay_s: float) -> float
         if event.stage is ProgressStage.PHASE_END and event.phase is Phase.READY:
             moments.append(time.monotonic())
 
-    applied = plan_and_apply(bench.fleet, EAGER, confirm, ApplyOptions(probe=QUICK, progress=note))
+    applied = plan_and_apply(
+        bench.fleet, EAGER, confirm, ApplyOptions(probe=QUICK, progress=note, call_s=patience(20.0))
+    )
     for relay in relays:
         relay.heal()
     bench.stop()
