@@ -19,6 +19,8 @@ def attribute_counted_traffic(
     traffic would be load of nobody, and be counted a second time by the demand of the task.
     """
     found = dict(tasks)
+    if all(task.partial != protocol.UDP_BY_LINK for task in tasks.values()):
+        return found
     for robot, link in reply.links.items():
         holders = [name for name in found if _is_counted_by_link(name, robot, found[name], robots_of)]
         if link.source is TrafficSource.COUNTERS and holders:

@@ -237,7 +237,7 @@ def _decode_reading(
 ) -> DecodedProbe:
     came_at = context.clock() - (time.monotonic() - reading.came_at)
     reply = HostReply(host=host, document=reading.document, seconds=0.0)
-    return _decode_reply(reply, replace_fields(context, clock=lambda: came_at), known)
+    return _decode_reply(reply, context, known, came_at)
 
 
 def _build_request(host: Host, context: _ProbeContext) -> dict[str, object]:
@@ -265,16 +265,21 @@ def _build_single_request(host: Host, context: _ProbeContext) -> dict[str, objec
 
 
 def _decode_reply(
-    reply: HostReply, context: _ProbeContext, known: tuple[Mapping[str, object], DecodedProbe] | None = None
+    reply: HostReply,
+    context: _ProbeContext,
+    known: tuple[Mapping[str, object], DecodedProbe] | None = None,
+    came_at: float | None = None,
 ) -> DecodedProbe:
+    """``came_at``: s since 1970; None: now."""
     host, document = reply.host, reply.document
     if context.lease is not None:
         context.lease.take_reply(host.name, document.get("lease"))
     probe = decode_probe(document, host, None if known is None else (known[0], known[1].reply))
+    found = _find_reply_context(host, context, context.clock() if came_at is None else came_at)
     known_sample = None if known is None else (known[0], known[1].reply, known[1].sample)
     return DecodedProbe(
         reply=probe,
-        sample=build_host_sample(probe, document, _find_reply_context(host, context), known_sample),
+        sample=build_host_sample(probe, document, found, known_sample),
         links=LinkEnds(links=probe.links, peers=probe.peers),
         done=list_done_tasks(probe) & list_checked_tasks(context.tasks, host, elsewhere=True),
         unowned=frozenset(probe.unowned),
@@ -406,20 +411,20 @@ def _finalize_sample(answer: HostAnswer[DecodedProbe], done: frozenset[str], now
     return apply_done_tasks(replace_fields(sample, sample_age_s=age), done)
 
 
-def _find_reply_context(host: Host, context: _ProbeContext) -> ReplyContext:
-    """What the manager knows of a host now; nearly all of it is the same in each cycle of a watch."""
+def _find_reply_context(host: Host, context: _ProbeContext, answered_at: float) -> ReplyContext:
+    """What the manager knows of a host then; nearly all of it is the same in each cycle of a watch."""
     readings = context.options.readings
     if readings is None:
-        return _build_reply_context(host, context)
-    kept = readings.keep_context(host.name, partial(_build_reply_context, host, context))
-    return replace_fields(kept, answered_at=context.clock())
+        return _build_reply_context(host, context, answered_at)
+    kept = readings.keep_context(host.name, partial(_build_reply_context, host, context, answered_at))
+    return replace_fields(kept, answered_at=answered_at)
 
 
-def _build_reply_context(host: Host, context: _ProbeContext) -> ReplyContext:
+def _build_reply_context(host: Host, context: _ProbeContext, answered_at: float) -> ReplyContext:
     inventory, options = context.inventory, context.options
     return ReplyContext(
         host=host,
-        answered_at=context.clock(),
+        answered_at=answered_at,
         manager_id=options.manager_id,
         declared={robot: value for (edge, robot), value in inventory.links.items() if edge == host.name},
         measured={robot: value for (edge, robot), value in options.measured.items() if edge == host.name},

@@ -88,7 +88,10 @@ def decode_latencies(document: ReplyDocument) -> Latencies:
     Raises:
         ReplyError: they are no mapping.
     """
-    found = decode_reply(_LatencyReplies, {"latencies": document.get("latencies") or {}}).latencies
+    counts = document.get("latencies")
+    if not counts:
+        return {}
+    found = decode_reply(_LatencyReplies, {"latencies": counts}).latencies
     return {task: reply for task, reply in found.items() if _has_buckets(reply)}
 
 

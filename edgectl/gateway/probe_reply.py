@@ -106,7 +106,7 @@ def build_host_sample(
     reply: ProbeReply, document: ReplyDocument, context: ReplyContext, known: KnownSample | None = None
 ) -> HostSample:
     """As `decode_host_sample`, of a ``document`` that is decoded; ``known``: the sample before, in the same
-    context, of which usages and links may be as they were.
+    context, of which usages, links and interfaces may be as they were.
 
     Raises:
         ReplyError: as `decode_host_sample`.
@@ -128,7 +128,7 @@ def build_host_sample(
         links=_build_links(reply, context, tasks, known) if context.host.role is Role.EDGE else {},
         tasks=active,
         standbys=standbys,
-        device=_build_device(reply, document, context.answered_at),
+        device=_build_device(reply, document, context.answered_at, known),
         generations=build_generations(reply, active),
         grant=reply.grants.epoch,
         foreign_grant=_find_foreign_grant(reply.grants, context.manager_id),
@@ -235,8 +235,10 @@ def _build_links(
     context: ReplyContext,
     tasks: Mapping[str, TaskSample],
     known: KnownSample | None,
-) -> dict[str, LinkSample]:
+) -> Mapping[str, LinkSample]:
     same = {} if known is None else _select_same_links(reply, context, tasks, known)
+    if known is not None and same is known[2].links:
+        return same
     return {
         robot: same[robot]
         if robot in same
@@ -248,12 +250,16 @@ def _build_links(
 
 def _select_same_links(
     reply: ProbeReply, context: ReplyContext, tasks: Mapping[str, TaskSample], known: KnownSample
-) -> dict[str, LinkSample]:
-    """The links of the sample before of which nothing is said anew, if no task had a part in them."""
+) -> Mapping[str, LinkSample]:
+    """The links of the sample before of which nothing is said anew, if no task had a part in them; where
+    those are all, the very same mapping.
+    """
     _, before, sample = known
     shared = (*_select_alive(tasks), *_select_alive(sample.instances))
     if before.checks or any(context.host.is_slice or task.partial for task in shared):
         return {}
+    if reply.links is before.links and reply.interfaces is before.interfaces:
+        return sample.links
     return {
         robot: link
         for robot, link in sample.links.items()
@@ -322,7 +328,9 @@ def select_link_capacity(
     return ASSUMED_BYTES_PER_S, CapacitySource.ASSUMED
 
 
-def _build_device(reply: ProbeReply, document: ReplyDocument, answered_at: float) -> DeviceSample:
+def _build_device(
+    reply: ProbeReply, document: ReplyDocument, answered_at: float, known: KnownSample | None
+) -> DeviceSample:
     """Figures that are shown; of them only the temperature decides, where a limit of it is stated."""
     power = document.get(POWER.name)
     drawn = decode_reply(DEVICE_USAGE[POWER.name], power, POWER.name) if power else None
@@ -334,7 +342,9 @@ def _build_device(reply: ProbeReply, document: ReplyDocument, answered_at: float
         boot_id=reply.boot_id,
         pid_namespace=reply.pid_namespace,
         clock_skew_s=None if reply.wall is None else reply.wall - answered_at,
-        interfaces={name: _build_interface(each) for name, each in reply.interfaces.items()},
+        interfaces=known[2].device.interfaces
+        if known is not None and known[1].interfaces is reply.interfaces
+        else {name: _build_interface(each) for name, each in reply.interfaces.items()},
     )
 
 

@@ -74,7 +74,9 @@ class FleetReadings(Generic[Value]):
         """What a host says now; None where it must be asked."""
         feed = self._feeds.find(host)
         reading = feed.find_reading() if feed is not None else None
-        return reading if self._asked.get(host) == request else None
+        asked = self._asked.get(host)
+        # The very same request, unless the inputs have changed.
+        return reading if asked is request or asked == request else None
 
     def ask_anew(self, host: str, request: Request) -> float:
         """Let what a host said before count no longer, because it is asked.

@@ -266,8 +266,9 @@ def can_write_to(fd: int) -> bool:
 
 def find_repeat_s(line: object) -> float | None:
     """Seconds after which the kernel repeats what a TCP connection loses; None where nobody knows."""
-    if _INFO is None or not isinstance(line, socket.socket) or line.family == socket.AF_UNIX:
+    if _INFO is None or not isinstance(line, socket.socket):
         return None
+    # Of a socket that is none of TCP the kernel refuses it.
     try:
         return int(_REPEAT_AT.unpack(line.getsockopt(socket.IPPROTO_TCP, _INFO, _REPEAT_AT.size))[0]) / 1e6
     except (OSError, struct.error):

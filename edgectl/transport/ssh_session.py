@@ -154,13 +154,17 @@ class SshSession:
         """Raise what goes wrong within as an error of ours; ``seconds``: the time that a time-out means."""
         try:
             yield
-        except TimeoutError as error:
-            raise DeadlineError(f"no answer within {seconds:.3g} s", host=self.name) from error
         except Exception as error:
-            ours = translate_ssh_error(error, self.name)
+            ours = self.translate_error(error, seconds)
             if ours is error:
                 raise
             raise ours from error
+
+    def translate_error(self, error: Exception, seconds: float) -> Exception:
+        """What went wrong as an error of ours; itself where it is one, or none of the connection."""
+        if isinstance(error, TimeoutError):
+            return DeadlineError(f"no answer within {seconds:.3g} s", host=self.name)
+        return translate_ssh_error(error, self.name)
 
     def can_send(self) -> bool:
         """Whether the line takes a few bytes without a wait; behind a jump host nobody knows."""
@@ -322,9 +326,15 @@ class SshExchange:
 
     def write(self, data: bytes, *, timeout: float) -> None:
         """As ``OpenExchange.write``."""
-        with self._session.translate_errors(timeout):
+        # Not by the block of the others, which takes six calls, as it is for each pulse.
+        try:
             self._channel.settimeout(timeout)
             _feed_input(self._channel, data, last=False)
+        except Exception as error:
+            ours = self._session.translate_error(error, timeout)
+            if ours is error:
+                raise
+            raise ours from error
 
     def can_write(self) -> bool:
         """As ``OpenExchange.can_write``."""

@@ -5,7 +5,9 @@ import copy
 import json
 import math
 import random
+import sys
 from collections.abc import Callable
+from types import FrameType
 from typing import Any, cast
 
 import pytest
@@ -558,7 +560,7 @@ def test_an_entry_that_is_repeated_is_not_decoded_again() -> None:
 @pytest.mark.parametrize("host", [an_edge("edge1"), SLICE], ids=["machine", "slice"])
 def test_a_sample_made_of_the_one_before_is_as_if_it_were_made_anew(host: Host) -> None:
     """Whatever of links, interfaces, tasks and checks has changed meanwhile, in which order ever."""
-    draw, kept, usages = random.Random(7), 0, 0
+    draw, kept, usages, links, nics = random.Random(7), 0, 0, 0, 0
     robots = {name: {"rx_bytes_per_s": 1e3, "interface": "eth0"} for name in ("robot3", "robot2", "robot1")}
     context = ReplyContext(
         host=host, answered_at=NOW, robots=("robot1", "robot2", "robot3"), declared={"robot2": 5e6},
@@ -593,8 +595,41 @@ def test_a_sample_made_of_the_one_before_is_as_if_it_were_made_anew(host: Host) 
         if known is not None:
             kept += any(known[2].links[name] is link for name, link in sample.links.items())
             usages += any(known[2].usage[name] is usage for name, usage in sample.usage.items())
+            links += known[2].links is sample.links
+            nics += known[2].device.interfaces is sample.device.interfaces
         known = (document, reply, sample)
-    assert min(kept, usages) > 20
+    assert min(kept, usages, links, nics) > 20
+
+
+def count_calls_of_an_update(links: int) -> int:
+    """Calls in Python that decode the word of an edge with so many links that its CPU is used otherwise."""
+    robots = tuple(f"robot{number}" for number in range(links))
+    found: dict[str, object] = {name: {"rx_bytes_per_s": 1e3, "interface": "eth0"} for name in robots}
+    host, calls = an_edge("edge1"), 0
+    context = ReplyContext(host=host, answered_at=NOW, robots=robots)
+    before = a_document(links=found)
+    reply = decode_probe(before, host)
+    known = before, reply, build_host_sample(reply, before, context)
+    document = {**before, "cpu": {"cores": 4, "used_cores": 1.5}}
+
+    def note(_frame: FrameType, event: str, _what: object) -> None:
+        nonlocal calls
+        calls += event == "call"
+
+    profile = sys.getprofile()
+    sys.setprofile(note)
+    try:
+        sample = build_host_sample(decode_probe(document, host, known[:2]), document, context, known)
+    finally:
+        sys.setprofile(profile)
+    assert sample.usage["cpu"].used == 1.5
+    return calls
+
+
+def test_an_update_that_says_nothing_of_links_looks_at_none() -> None:
+    count_calls_of_an_update(1)  # the first compiles what it needs
+    assert count_calls_of_an_update(1) == count_calls_of_an_update(30)
+    assert count_calls_of_an_update(30) <= 300
 
 
 def decode_or_refuse(document: Document, host: Host, known: tuple[Document, ProbeReply] | None) -> object:

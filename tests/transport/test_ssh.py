@@ -3,12 +3,14 @@
 
 import os
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
+from types import FrameType
 
 import paramiko
 import pytest
@@ -108,6 +110,33 @@ def test_an_exchange_that_rests_wakes_nobody_until_it_ends(lab: Lab, transport: 
         exchange.await_arrival(BUSY_S)
         assert exchange.read(timeout=0.0) == b""
         assert time.monotonic() < before + BUSY_S
+
+
+def test_a_pulse_takes_few_calls(lab: Lab, transport: Transport) -> None:
+    """In Python, of a look at the line, ten bytes over it, and another look; 49 before."""
+    session = transport.connect(lab.host("edge1"), timeout=BUSY_S)
+    assert isinstance(session, ConversableSession)
+    calls = 0
+
+    def note(_frame: FrameType, event: str, _what: object) -> None:
+        nonlocal calls
+        calls += event == "call"
+
+    made = session.converse("cat > /dev/null", b"", timeout=BUSY_S, give_way=lambda: None)
+    with session, closing(made) as exchange:
+        assert isinstance(exchange, RestingExchange)
+        until(exchange.can_write)
+        exchange.write(b"pulse 0 0\n", timeout=BUSY_S)
+        before = sys.getprofile()
+        sys.setprofile(note)
+        try:
+            assert exchange.can_write()
+            exchange.write(b"pulse 0 0\n", timeout=BUSY_S)
+            assert exchange.find_repeat_s() is not None
+        finally:
+            sys.setprofile(before)
+        exchange.finish(b"", timeout=BUSY_S)
+    assert 15 < calls <= 36, calls
 
 
 def test_each_server_is_a_host_of_its_own(lab: Lab, transport: Transport, connection: Connection) -> None:
