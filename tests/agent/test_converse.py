@@ -484,8 +484,8 @@ def test_where_no_agent_can_be_kept_there_is_no_conversation(host: AgentHost) ->
     """Without a cache a child could not load its code; the reply says so, and calls go on."""
     program = (
         f"import sys; sys.path.insert(0, {str(Path(frames.__file__).parent)!r})\nimport boot\n"
-        "words = sys.stdin.buffer.readline().decode().split()\n"
-        "boot.boot_agent(sys.stdin.buffer, words, ['/proc/nowhere', '/proc/nowhere-else'], b'')\n"
+        "words = sys.stdin.buffer.readline().split()\n"
+        "boot.boot_agent(sys.stdin.buffer, words, [b'/proc/nowhere', b'/proc/nowhere-else'], b'')\n"
     )
     packet = build_packet(
         {"op": "converse", "fleet": host.fleet, "host": host.name}, MARKER, DEADLINE_S, build_agent_zipapp()

@@ -9,6 +9,7 @@ import os
 import sys
 import time
 
+from ..link.boot import is_dir
 from . import cgroup, proc
 
 TYPE_CHECKING = False
@@ -34,11 +35,12 @@ def find_psutil_folder() -> "str | None":
     Python was started without ``site``, so the usual folders are searched here.
     """
     lib = "lib/python%d.%d/" % sys.version_info[:2]
-    prefixes = [os.path.dirname(os.path.dirname(sys.executable)), sys.prefix]
-    folders = [os.path.join(prefix, lib, "site-packages") for prefix in prefixes]
+    # Two levels above the program.
+    prefixes = [sys.executable.rsplit("/", 2)[0], sys.prefix]
+    folders = ["%s/%ssite-packages" % (prefix, lib) for prefix in prefixes]
     if sys.prefix == "/usr":
         folders += ["/usr/local/" + lib + "dist-packages", "/usr/lib/python3/dist-packages"]
-    return next((folder for folder in folders if os.path.isdir(os.path.join(folder, "psutil"))), None)
+    return next((folder for folder in folders if is_dir(folder + "/psutil")), None)
 
 
 def import_psutil() -> "ModuleType | None":
@@ -75,6 +77,13 @@ def _read_own_cpu_s() -> float:
     return times.user + times.system + times.children_user + times.children_system
 
 
+def _read_limited_s(limit: cgroup.CgroupLimit) -> float:
+    # Only for hosts with a limit: this and its like below are a third of the code of control groups.
+    from .cgroup_usage import read_cpu_used_s
+
+    return read_cpu_used_s(limit)
+
+
 class CpuMeter:
     """Meter of the CPU in use since its creation or its last measurement, without that of the agent and its
     checks.
@@ -84,7 +93,7 @@ class CpuMeter:
         self.allowed = list_usable_cpus()
         self.limit = cgroup.find_cpu_limit()
         if self.limit is not None and (
-            self.limit.value >= len(self.allowed) or cgroup.read_cpu_used_s(self.limit) < 0
+            self.limit.value >= len(self.allowed) or _read_limited_s(self.limit) < 0
         ):
             self.limit = None
         self.start = self._read_now()
@@ -93,7 +102,7 @@ class CpuMeter:
         return (time.monotonic(), self._used_s(), _read_own_cpu_s())
 
     def _used_s(self) -> float:
-        return _read_busy_s(self.allowed) if self.limit is None else cgroup.read_cpu_used_s(self.limit)
+        return _read_busy_s(self.allowed) if self.limit is None else _read_limited_s(self.limit)
 
     def measure(self) -> "dict[str, float]":
         """Measure ``cores`` (the smaller of affinity and quota) and ``used_cores``, 0..cores."""
@@ -111,9 +120,11 @@ def read_memory() -> "dict[str, int]":
     total, used = read_machine_memory()
     limit = cgroup.find_memory_limit()
     if limit is not None and limit.value < total:
+        from .cgroup_usage import read_memory_used
+
         return {
             "total_bytes": int(limit.value),
-            "used_bytes": min(int(limit.value), cgroup.read_memory_used(limit)),
+            "used_bytes": min(int(limit.value), read_memory_used(limit)),
         }
     return {"total_bytes": total, "used_bytes": used}
 
@@ -204,4 +215,4 @@ def measure_hardware(meter: "HardwareMeter | None") -> "dict[str, Any]":
 def _has_nvidia_smi() -> bool:
     """Whether the tool of NVIDIA's driver is installed."""
     folders = os.environ.get("PATH", os.defpath).split(os.pathsep)
-    return any(os.access(os.path.join(folder, "nvidia-smi"), os.X_OK) for folder in folders)
+    return any(os.access(folder + "/nvidia-smi", os.X_OK) for folder in folders if folder)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Network interfaces of this host: bytes since boot, rates, and the speeds that their drivers state."""
 
-import os
-
 from ..link.fast_json import Document
 from . import proc, radio
 
@@ -55,5 +53,5 @@ def build_interface_entry(
 
 def read_interface_speed(name: str) -> "int | None":
     """Read bytes/s; None where the driver does not know (Wi-Fi, lo): /sys has Mbit/s, -1 or nothing."""
-    text = proc.read_file(os.path.join("/sys/class/net", name, "speed")).decode("ascii", "replace").strip()
+    text = proc.read_file("/sys/class/net/%s/speed" % name).decode("ascii", "replace").strip()
     return int(text) * 125000 if text.isdigit() and int(text) > 0 else None

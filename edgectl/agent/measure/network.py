@@ -14,7 +14,7 @@ import time
 
 from ..link import protocol
 from ..link.fast_json import Document
-from . import link_rate, proc, radio, sockets
+from . import link_rate, proc, radio, radio_rate, sockets
 from .sockets import socket
 
 # Port "discard": nothing listens, and the refusal gives the round-trip time. Not sshd: it penalises
@@ -131,7 +131,7 @@ def read_flows_since_open(addresses: "Addresses") -> "list[Flow]":
 
 def start_counter_meter(fleet: str, addresses: "Addresses") -> "CounterMeter | None":
     """Start the meter of the byte counters; None where there is no installation for the fleet."""
-    if not addresses or not os.path.exists(protocol.COUNTERS_FILE % fleet):
+    if not addresses or not os.access(protocol.COUNTERS_FILE % fleet, os.F_OK):
         return None
     from .counters import CounterMeter
 
@@ -280,7 +280,7 @@ def build_links(
     ``udp``: the sockets as ``UdpMeter.find_sockets``; a link with a connected one is partly seen, unless it
     is ``counted``.
     """
-    radios, unseen = radio.read_rates(interfaces.values()), set(udp.values())
+    radios, unseen = radio_rate.read_rates(interfaces.values()), set(udp.values())
     links = {}
     for robot, found in addresses.items():
         links[robot] = dict(
@@ -324,7 +324,7 @@ def build_peers(peers: "Addresses", flows: "list[Flow]", seconds: float) -> "dic
         for edge, addresses in peers.items()
     }
     interfaces = find_interfaces(peers) if peers and radio.list_radios() else {}
-    radios = radio.read_rates(interfaces.values())
+    radios = radio_rate.read_rates(interfaces.values())
     return {
         edge: {"carries_bytes_per_s": rate, "radio_bytes_per_s": radios.get(interfaces.get(edge))}
         for edge, rate in found.items()

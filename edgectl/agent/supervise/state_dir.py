@@ -10,10 +10,9 @@ The first release kept tasks in BASE/hosts/HOST/tasks/TASK, without a fleet. Tho
 """
 
 import os
-import stat
 
 from ..link import protocol
-from ..link.boot import check_private_dir, make_private_dir
+from ..link.boot import check_private_dir, is_dir, is_own_dir, make_private_dir
 from ..link.errors import RefusalError
 from .records import RECORD_BYTES, open_private_file, read_record
 
@@ -49,6 +48,11 @@ def list_fleet_levels(base: str) -> "list[str]":
     return [base, root, root + "/" + get_fleet()]
 
 
+def find_host_dir(base: str, host: str) -> str:
+    """Find the directory of ``host`` below ``base``, existing or not."""
+    return "%s/%s/%s/hosts/%s" % (base, ROOT_NAME, get_fleet(), check_name(host))
+
+
 def _list_host_levels(base: str, host: str) -> "list[str]":
     levels = list_fleet_levels(base)
     hosts = levels[-1] + "/hosts"
@@ -72,10 +76,10 @@ def list_host_names(host: str) -> "list[str]":
 
     Shared memory counts first: it has a record only where the usual directory could not be written.
     """
-    for levels in reversed(list_host_dirs(host)):
-        path = os.path.join(levels[-1], FORMER_NAMES_FILE_NAME)
+    for base in reversed(BASES):
+        path = "%s/%s" % (find_host_dir(base, host), FORMER_NAMES_FILE_NAME)
         # The cheapest question comes first: few hosts have such a file.
-        if os.access(path, os.F_OK) and not is_foreign_base(levels[0]):
+        if os.access(path, os.F_OK) and not is_foreign_base(base):
             names = read_record(path).get("names", [])
             if names:
                 return [host, *(name for name in names if protocol.is_name(name) and name != host)]
@@ -84,14 +88,13 @@ def list_host_names(host: str) -> "list[str]":
 
 def list_adopted_dirs(host: str) -> "list[str]":
     """List the directories in the layout without fleets whose tasks this fleet has adopted."""
-    if not any(
-        os.access(os.path.join(levels[-1], ADOPTION_FILE_NAME), os.F_OK) for levels in list_host_dirs(host)
-    ):
+    marks = ["%s/%s" % (find_host_dir(base, host), ADOPTION_FILE_NAME) for base in BASES]
+    if not any(os.access(mark, os.F_OK) for mark in marks):
         return []
     found = []
     for base in list_own_bases():
         tasks = list_legacy_levels(base, host)[-1]
-        names = sorted(os.listdir(tasks)) if os.path.isdir(tasks) else []
+        names = sorted(os.listdir(tasks)) if is_dir(tasks) else []
         found += [
             os.path.join(tasks, name)
             for name in names
@@ -119,7 +122,7 @@ def is_foreign_base(base: str) -> bool:
         info = os.lstat(base)
     except OSError:
         return False
-    return not stat.S_ISDIR(info.st_mode) or info.st_uid != os.geteuid()
+    return not is_own_dir(info)
 
 
 def find_task_dirs(host: str, task: str) -> "list[str]":
@@ -131,7 +134,7 @@ def _find_task_dirs_of_name(host: str, task: str) -> "list[str]":
     found = []
     for base in list_own_bases():
         levels = _list_levels(base, host, task)
-        if os.path.isdir(levels[-1]):
+        if is_dir(levels[-1]):
             for level in levels:
                 check_private_dir(level)
             found.append(levels[-1])
@@ -168,8 +171,8 @@ def find_task_dirs_with(host: str, file_name: str) -> "list[str]":
 
 def _list_tasks_dirs(host: str) -> "list[str]":
     """List the existing directories that have one directory for each task of ``host``."""
-    found = [(base, os.path.join(_list_host_levels(base, host)[-1], "tasks")) for base in BASES]
-    return [folder for base, folder in found if os.path.isdir(folder) and not is_foreign_base(base)]
+    found = [(base, find_host_dir(base, host) + "/tasks") for base in BASES]
+    return [folder for base, folder in found if is_dir(folder) and not is_foreign_base(base)]
 
 
 def make_task_dir(host: str, task: str) -> str:
