@@ -29,13 +29,13 @@ ALWAYS = {"gc", "_blake2", "_json"}
 PATHS = {"stat", "_stat", "posixpath", "genericpath"}
 TASKS = {"zlib", "fcntl"}
 REQUESTS: dict[str, tuple[dict[str, Any], set[str], int]] = {
-    "status": ({"task": None}, set(), 14),
-    "logs": ({"task": "slam", "tail": 10}, {"select", *PATHS}, 16),
-    "lease": ({"action": "renew", "lease": LEASE}, TASKS | PATHS, 13),
-    "stop": ({"task": "slam", "instance": None, "generation": None, "stop": None}, TASKS | PATHS, 22),
-    "wait": ({"task": "slam", "instance": "i1", "timeout_s": 0.0}, set(), 14),
+    "status": ({"task": None}, set(), 15),
+    "logs": ({"task": "slam", "tail": 10}, {"select", *PATHS}, 17),
+    "lease": ({"action": "renew", "lease": LEASE}, TASKS | PATHS, 14),
+    "stop": ({"task": "slam", "instance": None, "generation": None, "stop": None}, TASKS | PATHS, 24),
+    "wait": ({"task": "slam", "instance": "i1", "timeout_s": 0.0}, set(), 15),
     "probe": ({"window_s": 0.0}, set(), 19),
-    "probe of a link": ({"window_s": 0.0, "links": LINKS}, {"_socket", "select", "errno"}, 24),
+    "probe of a link": ({"window_s": 0.0, "links": LINKS}, {"_socket", "select", "errno"}, 25),
     "start": (
         {
             "task": "done",
@@ -44,7 +44,7 @@ REQUESTS: dict[str, tuple[dict[str, Any], set[str], int]] = {
             "spec": a_spec("exec sleep 600", runtime="process"),
         },
         {"select", *TASKS, *PATHS},
-        35,
+        37,
     ),
 }
 
@@ -110,11 +110,11 @@ def test_code_of_a_request_does_not_grow_unseen(host: AgentHost) -> None:
     host.ask("status", task=None)
     host.ask("probe", window_s=0.0)
     sizes = {path.name.split(".")[0]: path.stat().st_size for path in host.state.rglob("*.code")}
-    assert sizes["status"] < 122_000
-    assert sizes["probe"] < 147_000
+    assert sizes["status"] < 118_000
+    assert sizes["probe"] < 133_000
     host.ask("probe", window_s=0.0, links=LINKS)
     (code,) = host.state.rglob("probe.*.code")
-    assert code.stat().st_size < 215_000
+    assert code.stat().st_size < 211_000
 
 
 def test_what_a_module_imports_is_made_without_an_import(host: AgentHost, tmp_path: Path) -> None:

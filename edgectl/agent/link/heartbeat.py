@@ -6,7 +6,7 @@ the usual state directory cannot be written, shared memory takes the record: a f
 end tasks that a manager still contacts.
 """
 
-from ..measure import proc
+from ..measure import system_files
 from ..supervise import records, state_dir
 from .boot import check_private_dir, is_dir, make_private_dir
 from .fast_json import Document
@@ -27,7 +27,10 @@ def _record_under_name(host: str) -> None:
     places = state_dir.list_host_dirs(host)
     if not any(is_dir(levels[-1]) for levels in places):
         return
-    heartbeat: Document = {"boot_id": proc.read_boot_id(), "at": round(proc.read_uptime_s(), 3)}
+    # Of the process table, which a host without tasks does not need, it has the clock.
+    from ..measure import proc
+
+    heartbeat: Document = {"boot_id": system_files.read_boot_id(), "at": round(proc.read_uptime_s(), 3)}
     for levels in places:
         try:
             for level in levels:
@@ -65,6 +68,6 @@ def read_last_heartbeat(host: str) -> float:
             heartbeat = records.read_record(levels[-1] + "/" + _FILE_NAME)
         except OSError:
             continue
-        if heartbeat.get("boot_id") == proc.read_boot_id():
+        if heartbeat.get("boot_id") == system_files.read_boot_id():
             found.append(float(heartbeat.get("at", 0.0)))
     return max(found)

@@ -7,7 +7,7 @@ behind it.
 
 import os
 
-from . import proc
+from . import system_files
 
 _NO_LIMIT = 1 << 60
 
@@ -25,7 +25,7 @@ class CgroupLimit:
 
 def read_text(path: str) -> str:
     """Read a file; empty where there is none."""
-    return proc.read_file(path).decode("ascii", "replace").strip()
+    return system_files.read_file(path).decode("ascii", "replace").strip()
 
 
 def list_groups(root: str, controller: str, process: str = "self") -> "list[tuple[str, int]]":

@@ -14,7 +14,7 @@ import time
 
 from ..link import protocol
 from ..link.fast_json import Document
-from . import link_rate, proc, radio, radio_rate, sockets
+from . import link_rate, proc, radio, radio_rate, sockets, system_files
 from .sockets import socket
 
 # Port "discard": nothing listens, and the refusal gives the round-trip time. Not sshd: it penalises
@@ -261,7 +261,8 @@ class ConnectProbes:
 def _read_unanswered_neighbours() -> "set[str]":
     """Read the IPv4 neighbours that did not answer ARP."""
     rows = (
-        line.split() for line in proc.read_file("/proc/net/arp").decode("ascii", "replace").splitlines()[1:]
+        line.split()
+        for line in system_files.read_file("/proc/net/arp").decode("ascii", "replace").splitlines()[1:]
     )
     return {row[0] for row in rows if len(row) > 2 and int(row[2], 16) & 0x2 == 0}
 
@@ -372,7 +373,7 @@ def find_interface(address: str) -> "str | None":
 def _find_route_v4(address: str) -> "str | None":
     target = int.from_bytes(socket.inet_aton(address), "little")
     best: "tuple[int, str | None]" = (-1, None)
-    for line in proc.read_file("/proc/net/route").decode("ascii", "replace").splitlines()[1:]:
+    for line in system_files.read_file("/proc/net/route").decode("ascii", "replace").splitlines()[1:]:
         row = line.split()
         mask = int(row[7], 16)
         if target & mask == int(row[1], 16) and bin(mask).count("1") > best[0]:
@@ -383,7 +384,7 @@ def _find_route_v4(address: str) -> "str | None":
 def _find_route_v6(address: str) -> "str | None":
     target = int.from_bytes(socket.inet_pton(socket.AF_INET6, address), "big")
     best: "tuple[int, str | None]" = (-1, None)
-    for line in proc.read_file("/proc/net/ipv6_route").decode("ascii", "replace").splitlines():
+    for line in system_files.read_file("/proc/net/ipv6_route").decode("ascii", "replace").splitlines():
         row = line.split()
         length = int(row[1], 16)
         if (target ^ int(row[0], 16)) >> (128 - length) == 0 and length > best[0] and row[9] != "lo":

@@ -9,7 +9,7 @@ from ..link import protocol
 from ..link.boot import is_dir
 from ..link.fast_json import Document
 from ..supervise import grants, other_tasks, state_dir, unowned
-from . import device, interfaces, proc
+from . import device, interfaces, system_files
 from .task_meter import TaskMeter, Traffic
 
 TYPE_CHECKING = False
@@ -59,8 +59,8 @@ def probe_again(request: Document, meter: "WindowMeter | None") -> Document:
             "op": protocol.OP_PROBE,
             "host": request["host"],
             "python": "%d.%d.%d" % sys.version_info[:3],
-            "boot_id": proc.read_boot_id(),
-            "pid_namespace": proc.read_pid_namespace(),
+            "boot_id": system_files.read_boot_id(),
+            "pid_namespace": system_files.read_pid_namespace(),
             "machine": _describe_place(),
             "wall": time.time(),
             "load_1m": device.read_load_1m(),
@@ -116,7 +116,7 @@ def _list_engines(request: Document) -> Document:
 def _describe_place() -> str:
     """Describe where the tasks of this login are: machine, user and state directories."""
     folders = _compute_crc32("\0".join(state_dir.BASES).encode("utf-8", "surrogateescape"))
-    return "%s/%d/%08x" % (proc.read_machine_id(), os.getuid(), folders)
+    return "%s/%d/%08x" % (system_files.read_machine_id(), os.getuid(), folders)
 
 
 def _compute_crc32(data: bytes) -> int:
@@ -142,7 +142,9 @@ def _remove_dead_containers(host: str) -> None:
     """Begin to remove what engines may still have of tasks of this host that have ended, as after a loss of
     power.
     """
-    folders = state_dir.find_task_dirs_with(host, "container")
+    from ..supervise import task_dirs
+
+    folders = task_dirs.find_task_dirs_with(host, "container")
     if not folders:
         return
     from ..containers.record import may_be_left

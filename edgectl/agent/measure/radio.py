@@ -3,7 +3,7 @@
 
 import os
 
-from . import proc
+from . import system_files
 
 ROOT = ""
 
@@ -19,7 +19,7 @@ def list_radios() -> "list[str]":
 def select_radios(names: "list[str]") -> "list[str]":
     """Select the wireless ones of these interfaces."""
     folder = ROOT + "/sys/class/net"
-    stated = proc.read_file(ROOT + "/proc/net/wireless").decode("ascii", "replace").splitlines()[2:]
+    stated = system_files.read_file(ROOT + "/proc/net/wireless").decode("ascii", "replace").splitlines()[2:]
     listed = {line.partition(":")[0].strip() for line in stated}
     return [
         name

@@ -6,7 +6,7 @@ tasks.
 from ..link import protocol
 from ..link.fast_json import Document
 from ..supervise import liveness, lockfile, state_dir, status
-from . import cgroup_usage, detection, proc
+from . import cgroup_usage, detection, proc, system_files
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -164,7 +164,7 @@ def read_task_memory(group: TaskProcesses, table: "dict[int, proc.Process]") -> 
 def _read_pss(pid: int, rss: int) -> int:
     if rss > _MAX_PSS_BYTES:
         return 0
-    for line in proc.read_file("/proc/%d/smaps_rollup" % pid).splitlines():
+    for line in system_files.read_file("/proc/%d/smaps_rollup" % pid).splitlines():
         if line.startswith(b"Pss:"):
             return int(line.split()[1]) * 1024
     return 0

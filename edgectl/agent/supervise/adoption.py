@@ -15,7 +15,7 @@ import os
 from ..link.boot import check_private_dir, make_private_dir
 from ..link.errors import RefusalError
 from ..link.fast_json import Document
-from . import records, state_dir
+from . import records, state_dir, task_dirs
 from .unowned import list_unowned_dirs
 
 
@@ -46,7 +46,7 @@ def _record_former_names(host: str, names: "list[str]") -> None:
             if not written:
                 for level in levels:
                     make_private_dir(level)
-                state_dir.reserve_file(path, records.RECORD_BYTES)
+                task_dirs.reserve_file(path, records.RECORD_BYTES)
                 records.write_record(path, {"names": names}, durable=True)
                 written = True
             elif os.path.lexists(path):
@@ -65,7 +65,7 @@ def _leave_mark(host: str) -> None:
         try:
             for level in levels:
                 make_private_dir(level)
-            state_dir.reserve_file(os.path.join(levels[-1], state_dir.ADOPTION_FILE_NAME), 0)
+            task_dirs.reserve_file(os.path.join(levels[-1], state_dir.ADOPTION_FILE_NAME), 0)
         except OSError:
             continue
         return

@@ -8,11 +8,11 @@ import os
 from ..link import protocol
 from ..link.boot import is_own_dir
 from ..link.fast_json import Document
-from ..measure import proc
 from . import state_dir
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from ..measure import proc
     from .liveness import InstanceRecord
 
 # Room in a reply; those of this fleet come first.
@@ -26,6 +26,7 @@ def list_other_tasks(host: str, table: "dict[int, proc.Process] | None" = None) 
     folders = _list_task_dirs()
     if not folders:
         return []
+    from ..measure import proc
     from . import liveness
 
     own, names, found = state_dir.get_fleet(), state_dir.list_host_names(host), []

@@ -12,9 +12,9 @@ The first release kept tasks in BASE/hosts/HOST/tasks/TASK, without a fleet. Tho
 import os
 
 from ..link import protocol
-from ..link.boot import check_private_dir, is_dir, is_own_dir, make_private_dir
+from ..link.boot import check_private_dir, is_dir, is_own_dir
 from ..link.errors import RefusalError
-from .records import RECORD_BYTES, open_private_file, read_record
+from .records import read_record
 
 BASES: "list[str]" = []
 ROOT_NAME, OWNER_FILE_NAME, ADOPTION_FILE_NAME = "agent-state", "fleet", "adopted"
@@ -59,7 +59,8 @@ def _list_host_levels(base: str, host: str) -> "list[str]":
     return [*levels, hosts, hosts + "/" + check_name(host)]
 
 
-def _list_levels(base: str, host: str, task: str) -> "list[str]":
+def list_levels(base: str, host: str, task: str) -> "list[str]":
+    """List the directories from ``base`` down to that of ``task``, existing or not."""
     levels = _list_host_levels(base, host)
     tasks = levels[-1] + "/tasks"
     return [*levels, tasks, tasks + "/" + check_name(task)]
@@ -127,13 +128,14 @@ def is_foreign_base(base: str) -> bool:
 
 def find_task_dirs(host: str, task: str) -> "list[str]":
     """Find the existing directories of ``task``, best first; those of former names of the host last."""
-    return [folder for name in list_host_names(host) for folder in _find_task_dirs_of_name(name, task)]
+    return [folder for name in list_host_names(host) for folder in find_task_dirs_of_name(name, task)]
 
 
-def _find_task_dirs_of_name(host: str, task: str) -> "list[str]":
+def find_task_dirs_of_name(host: str, task: str) -> "list[str]":
+    """Find the existing directories of ``task`` under this name of the host, best first."""
     found = []
     for base in list_own_bases():
-        levels = _list_levels(base, host, task)
+        levels = list_levels(base, host, task)
         if is_dir(levels[-1]):
             for level in levels:
                 check_private_dir(level)
@@ -151,82 +153,12 @@ def list_task_names(host: str) -> "list[str]":
     names: "set[str]" = set()
     for known in list_host_names(host):
         names.update(os.path.basename(folder) for folder in list_adopted_dirs(known))
-        for folder in _list_tasks_dirs(known):
+        for folder in list_tasks_dirs(known):
             names.update(name for name in os.listdir(folder) if protocol.is_name(name))
     return sorted(names)
 
 
-def find_task_dirs_with(host: str, file_name: str) -> "list[str]":
-    """Find the directories of tasks of this host, under any of its names, that have a file of this name."""
-    return [
-        folder
-        for known in list_host_names(host)
-        for tasks in _list_tasks_dirs(known)
-        for task in sorted(os.listdir(tasks))
-        if protocol.is_name(task) and os.path.exists("%s/%s/%s" % (tasks, task, file_name))
-        for folder in _find_task_dirs_of_name(known, task)
-        if os.path.dirname(folder) == tasks
-    ]
-
-
-def _list_tasks_dirs(host: str) -> "list[str]":
+def list_tasks_dirs(host: str) -> "list[str]":
     """List the existing directories that have one directory for each task of ``host``."""
     found = [(base, find_host_dir(base, host) + "/tasks") for base in BASES]
     return [folder for base, folder in found if is_dir(folder) and not is_foreign_base(base)]
-
-
-def make_task_dir(host: str, task: str) -> str:
-    """Create the directory of ``task`` in the first base that accepts it and its fixed-size files.
-
-    Raises:
-        RefusalError: no base can be written.
-    """
-    reasons = []
-    for base in BASES:
-        levels = _list_levels(base, host, task)
-        try:
-            for level in levels:
-                make_private_dir(level)
-            for name, size in (
-                ("lock", 0),
-                ("instance", RECORD_BYTES),
-                ("status", RECORD_BYTES),
-                ("mark", RECORD_BYTES),
-                ("generation", RECORD_BYTES),
-                ("role", RECORD_BYTES),
-                ("switch", 0),
-            ):
-                reserve_file(os.path.join(levels[-1], name), size)
-            return levels[-1]
-        except OSError as error:
-            reasons.append("%s: %s" % (base, error.strerror or error))
-    raise RefusalError(
-        "no-state-dir",
-        "no place to keep the task's state: " + "; ".join(reasons),
-        "free some disk space or set EDGECTL_STATE_DIR",
-    )
-
-
-def reserve_file(path: str, size: int) -> None:
-    """Create ``path`` with ``size`` bytes allocated, so that a disk that fills up later cannot stop a
-    rewrite.
-    """
-    fd = open_private_file(path, os.O_RDWR | os.O_CREAT)
-    try:
-        have = os.fstat(fd).st_size
-        if have < size:
-            os.pwrite(fd, b" " * (size - have), have)
-    finally:
-        os.close(fd)
-
-
-def drop_spools(host: str, task: str) -> bool:
-    """Remove what is left here of the state of ``task``; False where there was nothing."""
-    dropped = False
-    for folder in find_task_dirs(host, task):
-        try:
-            os.unlink(os.path.join(folder, SPOOL_FILE_NAME))
-            dropped = True
-        except FileNotFoundError:
-            continue
-    return dropped
