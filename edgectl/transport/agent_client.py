@@ -33,7 +33,7 @@ _NOT_FOUND_PATTERN = re.compile(
     rb"not found|no such file or directory|unknown command|cannot execute", re.IGNORECASE
 )
 _TOO_OLD_PATTERN = re.compile(rb"unknown option:? -[IS]", re.IGNORECASE)
-# Comments and docstrings of the first program, which travels with each request as it is: a third of it.
+# Comments and docstrings of the programs that travel with each request: a third of them.
 _NOTE_PATTERN = re.compile(rb'^ *(?:#.*|"""[^"]*""")\n|  # .*', re.MULTILINE)
 # Of the reason of a refusal, characters.
 _MAX_MESSAGE = 1000
@@ -61,8 +61,9 @@ def use_cache_key(fleet: str, key: str) -> None:
 @cache
 def _read_boot_programs() -> bytes:
     """The first program, and the other two packed, each after its length; few hosts unpack them."""
-    first, *others = (read_program(AGENT_DIR / "link" / name) for name in ("first.py", "stub.py", "boot.py"))
-    programs = (_NOTE_PATTERN.sub(b"", first), zlib.compress(b"\0".join(others), 9))
+    sources = (read_program(AGENT_DIR / "link" / name) for name in ("first.py", "stub.py", "boot.py"))
+    first, *others = (_NOTE_PATTERN.sub(b"", source) for source in sources)
+    programs = (first, zlib.compress(b"\0".join(others), 9))
     return b"".join(b"%d\n%s" % (len(text), text) for text in programs)
 
 

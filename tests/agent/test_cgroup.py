@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.agent.measure import cgroup
+from edgectl.agent.measure import cgroup, cgroup_usage
 
 
 def tree(root: Path, files: dict[str, str]) -> str:
@@ -49,12 +49,12 @@ def test_v1_limit_of_a_parent_counts(tmp_path: Path) -> None:
     limit = cgroup.find_cpu_limit(root)
     assert limit is not None
     assert limit.value == 0.4
-    assert cgroup.read_cpu_used_s(limit, root) == 2.5
+    assert cgroup_usage.read_cpu_used_s(limit, root) == 2.5
     memory = cgroup.find_memory_limit(root)
     assert memory is not None
     assert memory.value == 1 << 30
     # 500 MB in use, 200 MB of it page cache, of which 50 MB are shared memory and not reclaimable.
-    assert cgroup.read_memory_used(memory) == 350_000_000
+    assert cgroup_usage.read_memory_used(memory) == 350_000_000
 
 
 def test_v2_smallest_limit_on_the_way_up_counts(tmp_path: Path) -> None:
@@ -62,11 +62,11 @@ def test_v2_smallest_limit_on_the_way_up_counts(tmp_path: Path) -> None:
     limit = cgroup.find_cpu_limit(root)
     assert limit is not None
     assert limit.value == 1.5
-    assert cgroup.read_cpu_used_s(limit, root) == 7.5
+    assert cgroup_usage.read_cpu_used_s(limit, root) == 7.5
     memory = cgroup.find_memory_limit(root)
     assert memory is not None
     assert memory.value == 1 << 29
-    assert cgroup.read_memory_used(memory) == 200_000_000
+    assert cgroup_usage.read_memory_used(memory) == 200_000_000
 
 
 def test_v1_joint_hierarchy(tmp_path: Path) -> None:
@@ -79,7 +79,7 @@ def test_v1_joint_hierarchy(tmp_path: Path) -> None:
     root = tree(tmp_path, files)
     limit = cgroup.find_cpu_limit(root)
     assert limit is not None
-    assert (limit.value, cgroup.read_cpu_used_s(limit, root)) == (2.0, 3.0)
+    assert (limit.value, cgroup_usage.read_cpu_used_s(limit, root)) == (2.0, 3.0)
 
 
 def test_container_that_sees_only_its_own_group(tmp_path: Path) -> None:
@@ -132,9 +132,12 @@ def test_usage_of_a_container_by_its_process_in_v1(tmp_path: Path) -> None:
             f"sys/fs/cgroup/memory/docker/{CONTAINER}/memory.stat": "total_cache 30000000\ntotal_shmem 10000000\n",
         },
     )
-    assert cgroup.read_container_cpu_s(77, root) == 1.5
-    assert cgroup.read_container_memory(77, root) == 70_000_000
-    assert (cgroup.read_container_cpu_s(78, root), cgroup.read_container_memory(78, root)) == (-1.0, -1)
+    assert cgroup_usage.read_container_cpu_s(77, root) == 1.5
+    assert cgroup_usage.read_container_memory(77, root) == 70_000_000
+    assert (cgroup_usage.read_container_cpu_s(78, root), cgroup_usage.read_container_memory(78, root)) == (
+        -1.0,
+        -1,
+    )
 
 
 def test_usage_of_a_container_by_its_process_in_v2(tmp_path: Path) -> None:
@@ -149,5 +152,5 @@ def test_usage_of_a_container_by_its_process_in_v2(tmp_path: Path) -> None:
             f"{scope}/memory.stat": "file 20000000\nshmem 5000000\n",
         },
     )
-    assert cgroup.read_container_cpu_s(77, root) == 2.5
-    assert cgroup.read_container_memory(77, root) == 35_000_000
+    assert cgroup_usage.read_container_cpu_s(77, root) == 2.5
+    assert cgroup_usage.read_container_memory(77, root) == 35_000_000

@@ -20,16 +20,16 @@ from tests.pace import patience
 # As the first release did: the directory of a task names no fleet.
 _START_UNOWNED = """
 import sys
-from edgectl.agent.supervise import launch, lockfile, records, scope, state_dir
+from edgectl.agent.supervise import launch, lockfile, records, scope, task_dirs
 from edgectl.agent.link.boot import make_private_dir
-from edgectl.agent.measure import proc
+from edgectl.agent.measure import system_files
 from tests.pace import patience
 folder, spec = sys.argv[1], eval(sys.argv[2])
 make_private_dir(folder)
 identity = {"instance": "old", "host": "edge1", "task": "slam", "generation": 7, "spec_hash": "h1",
-    "boot_id": proc.read_boot_id(), "stop": spec["stop"], "fields": {}, "kind": "service"}
+    "boot_id": system_files.read_boot_id(), "stop": spec["stop"], "fields": {}, "kind": "service"}
 for name in ("lock", "instance", "status", "mark", "generation"):
-    state_dir.reserve_file(folder + "/" + name, 0 if name == "lock" else records.RECORD_BYTES)
+    task_dirs.reserve_file(folder + "/" + name, 0 if name == "lock" else records.RECORD_BYTES)
 records.write_record(folder + "/generation", {"generation": 7})
 print(launch.launch_supervisor(folder, lockfile.take_lock(folder), identity, spec, scope.Scope([], {}, ""))["pid"])
 """

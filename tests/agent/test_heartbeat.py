@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from edgectl.agent.measure import proc
+from edgectl.agent.measure import proc, system_files
 from edgectl.agent.supervise import liveness, lockfile, records
 from tests.agent.conftest import AgentHost, both_runtimes, eventually, is_running
 from tests.agent.test_supervisor import FIVE, python
@@ -77,7 +77,7 @@ def test_any_call_is_a_heartbeat_for_every_task_of_its_host(host: AgentHost) -> 
 
 def test_task_without_a_fence_runs_on(host: AgentHost) -> None:
     pid = host.start("slam", "exec sleep 600")["pid"]
-    records.write_record(str(host.home / "contact"), {"boot_id": proc.read_boot_id(), "at": 1.0})
+    records.write_record(str(host.home / "contact"), {"boot_id": system_files.read_boot_id(), "at": 1.0})
     os.kill(host.supervisor("slam"), signal.SIGCHLD)
     time.sleep(1.0)
     assert is_running(pid)

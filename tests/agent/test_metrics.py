@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from edgectl.agent.link import fast_json, protocol
 from edgectl.agent.measure import metrics
-from edgectl.agent.supervise import state_dir
+from edgectl.agent.supervise import state_dir, task_dirs
 from edgectl.gateway import task_reply
 from tests.agent.conftest import AgentHost, both_runtimes, eventually, is_running
 from tests.pace import patience
@@ -170,7 +170,7 @@ def test_very_many_tasks_share_the_room_of_a_reply(tmp_path: Path, monkeypatch: 
         f"t{number}": {"managed": True, "instance": "i"} for number in range(200)
     }
     for name in entries:
-        put(Path(state_dir.make_task_dir("edge1", name)), lines)
+        put(Path(task_dirs.make_task_dir("edge1", name)), lines)
     found = metrics.read_tasks_metrics("edge1", {**entries, "stray": {"managed": False, "instance": ""}})
     assert {len(values) for values in found.values()} == {protocol.MAX_HOST_METRICS // 200}
     assert len(found) == 200

@@ -61,8 +61,8 @@ def ask_with_bases(host: AgentHost, bases: list[str], op: str, **fields: object)
     """A request to the agent, whose second base is not in the shared memory of this machine."""
     program = (
         f"import sys; sys.path.insert(0, {str(Path(boot.__file__).parent)!r})\n"
-        "import boot\nwords = sys.stdin.buffer.readline().decode().split()\n"
-        f"boot.boot_agent(sys.stdin.buffer, words, {bases!r}, b'')\n"
+        "import boot\nwords = sys.stdin.buffer.readline().split()\n"
+        f"boot.boot_agent(sys.stdin.buffer, words, {[base.encode() for base in bases]!r}, b'')\n"
     )
     request = {"op": op, "fleet": host.fleet, "host": host.name, **fields}
     packet = agent_client.build_packet(request, "m" * 32, 30.0, build_agent_zipapp())

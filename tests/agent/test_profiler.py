@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from edgectl.agent.daemon import daemon, pidfile, sample_ring
-from edgectl.agent.measure import proc, task
+from edgectl.agent.measure import proc, system_files, task
 from edgectl.agent.supervise import liveness, state_dir
 from edgectl.errors import RefusedError
 from tests.agent.conftest import Profiled, eventually, is_running
@@ -61,8 +61,8 @@ def test_a_sample_in_two_halves_weighs_as_much_as_one() -> None:
 def a_process(pid: int, *, cpu_s: float, age_s: float) -> proc.Process:
     field = [b"0"] * 22
     field[0], field[1] = b"S", b"1"
-    field[11] = b"%d" % round(cpu_s * proc.TICKS_PER_S)
-    field[19] = b"%d" % round((proc.read_uptime_s() - age_s) * proc.TICKS_PER_S)
+    field[11] = b"%d" % round(cpu_s * system_files.TICKS_PER_S)
+    field[19] = b"%d" % round((proc.read_uptime_s() - age_s) * system_files.TICKS_PER_S)
     return proc.Process(pid, field)
 
 
@@ -335,7 +335,7 @@ def test_a_host_that_was_rebooted_has_none(profiled: Profiled, monkeypatch: pyte
     monkeypatch.setattr(state_dir, "BASES", [str(profiled.host.state)])
     monkeypatch.setattr(state_dir, "_FLEET", [profiled.host.fleet])
     assert pidfile.find_profiler("edge1") is not None
-    monkeypatch.setattr(proc, "read_boot_id", lambda: "another boot")
+    monkeypatch.setattr(system_files, "read_boot_id", lambda: "another boot")
     assert pidfile.find_profiler("edge1") is None
     assert pidfile.read_end_reason("edge1") == "the host was rebooted"
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.agent.measure import radio, wireless
+from edgectl.agent.measure import radio, radio_rate, wireless
 
 CONNECTED = """Connected to 04:d5:90:00:00:01 (on wlan0)
 	SSID: lab
@@ -26,14 +26,14 @@ def test_the_rate_of_a_radio_is_what_iw_states(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(radio, "ROOT", str(tmp_path))
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
     assert radio.list_radios() == ["wlan0"]
-    assert radio.read_rates(["wlan0", "eth0", None]) == {"wlan0": 6.75e6}
+    assert radio_rate.read_rates(["wlan0", "eth0", None]) == {"wlan0": 6.75e6}
 
 
 @pytest.mark.parametrize(
     "text", ["Not connected.\n", "", "\ttx bitrate: unknown MBit/s x\n", "\ttx bitrate:\n"]
 )
 def test_a_radio_without_a_rate_states_none(text: str) -> None:
-    assert radio.parse_iw_link(text) == 0.0
+    assert radio_rate.parse_iw_link(text) == 0.0
 
 
 # As iw 5.9 and a kernel with wireless extensions print them.
@@ -106,5 +106,5 @@ def test_without_iw_the_kernel_s_file_is_read(tmp_path: Path, monkeypatch: pytes
 def test_a_host_without_a_radio_runs_no_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "sys/class/net/eth0").mkdir(parents=True)
     monkeypatch.setattr(radio, "ROOT", str(tmp_path))
-    monkeypatch.setattr(radio, "run_iw", None)
+    monkeypatch.setattr(radio_rate, "run_iw", None)
     assert wireless.RadioMeter().measure() == {}

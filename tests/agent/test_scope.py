@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from edgectl.agent.link.errors import RefusalError
-from edgectl.agent.measure import proc
+from edgectl.agent.measure import proc, system_files
 from edgectl.agent.supervise import launch, lockfile, scope
 from edgectl.errors import RefusedError
 from tests.agent.conftest import AgentHost, a_spec, eventually, is_running
@@ -120,7 +120,7 @@ def test_secrets_stand_in_no_command_line_and_on_no_disk(host: AgentHost, system
         )
         deadline = time.monotonic() + 2.5
         while time.monotonic() < deadline:
-            lines = [proc.read_file(f"/proc/{pid}/cmdline") for pid in list_processes() - others]
+            lines = [system_files.read_file(f"/proc/{pid}/cmdline") for pid in list_processes() - others]
             assert not [line for line in lines if b"hunter2" in line]
             for path in host.state.rglob("*"):
                 assert path.is_dir() or b"hunter2" not in path.read_bytes(), path
@@ -171,7 +171,9 @@ def test_systemd_that_hangs_is_ended_and_for_auto_done_without(
     assert reply["detail"] == "limits: not enforced: systemd-run failed: no answer within 10 s"
     assert len(host.members("slam")) == 1
     lines = [
-        proc.read_file(f"{folder}/cmdline") for folder in Path("/proc").iterdir() if folder.name.isdigit()
+        system_files.read_file(f"{folder}/cmdline")
+        for folder in Path("/proc").iterdir()
+        if folder.name.isdigit()
     ]
     assert b"sleep\x00611\x00" not in lines
     host.stop("slam")

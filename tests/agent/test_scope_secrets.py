@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from edgectl.agent.measure import proc
+from edgectl.agent.measure import system_files
 from tests.agent.conftest import AgentHost
 from tests.agent.user_systemd import UserSystemd
 from tests.e2e.test_secrets import CANARIES, find_forms
@@ -23,7 +23,7 @@ SAID = (
 def places(host: AgentHost, systemd: UserSystemd) -> Iterator[tuple[str, bytes]]:
     """Everything readable without being the task."""
     for folder in Path("/proc").glob("[0-9]*"):
-        yield f"{folder}/cmdline", proc.read_file(f"{folder}/cmdline")
+        yield f"{folder}/cmdline", system_files.read_file(f"{folder}/cmdline")
     for path in (
         *host.state.rglob("*"),
         *systemd.folder.rglob("*"),
@@ -42,7 +42,7 @@ def test_a_secret_stands_in_no_unit(host: AgentHost, systemd: UserSystemd) -> No
         systemd.systemctl("log-level", "debug")
     host.start("slam", "exec sleep 600", env={"TOKEN": CANARIES["task"]}, limits=LIMITS)
     entry = host.until("slam", "running")
-    environment = b"\0" + proc.read_file(f"/proc/{entry['pid']}/environ")
+    environment = b"\0" + system_files.read_file(f"/proc/{entry['pid']}/environ")
     assert f"\0TOKEN={CANARIES['task']}\0".encode() in environment, "the task itself has it"
     while_running = dict(places(host, systemd))
     assert host.stop("slam")["state"] == "stopped"

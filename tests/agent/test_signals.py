@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from edgectl.agent.measure import proc
+from edgectl.agent.measure import proc, system_files
 from edgectl.agent.supervise import records, signals
 from edgectl.agent.supervise.liveness import InstanceRecord, find_orphans, find_supervisor, is_alive
 from tests.agent.conftest import AgentHost, eventually, is_running
@@ -53,7 +53,7 @@ def test_record_with_a_reused_pid_is_dead(
     folder = tmp_path_factory.mktemp("task")
     instance = {
         "instance": "i1",
-        "boot_id": proc.read_boot_id(),
+        "boot_id": system_files.read_boot_id(),
         "supervisor": sleeper.pid,
         "supervisor_ticks": ticks,
     }

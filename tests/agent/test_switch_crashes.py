@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.agent.measure import proc
+from edgectl.agent.measure import proc, system_files
 from edgectl.agent.supervise import liveness, lockfile, records
 from edgectl.errors import HostError, RefusedError
 from edgectl.transport.held_call import HeldCall
@@ -166,7 +166,7 @@ def test_a_prepared_agent_that_is_killed_has_done_nothing(slow: Ticker) -> None:
 def list_shells(host: AgentHost) -> list[int]:
     """The shells of prepared commands of this host, which have no mark of its task."""
     home = str(host.home).encode()
-    environments = {pid: proc.read_file(f"/proc/{pid}/environ") for pid in proc.read_process_table()}
+    environments = {pid: system_files.read_file(f"/proc/{pid}/environ") for pid in proc.read_process_table()}
     return [pid for pid, text in environments.items() if b"EDGECTL_PID=" in text and home in text]
 
 

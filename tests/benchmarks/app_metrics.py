@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 from edgectl.agent.measure import metrics
-from edgectl.agent.supervise import liveness, state_dir
+from edgectl.agent.supervise import liveness, state_dir, task_dirs
 from edgectl.transport.agent_client import call_agent
 from edgectl.transport.local import LocalSession
 from tests.benchmarks.profilers import read_cpu_s
@@ -33,7 +33,7 @@ def measure_reading_s(written: bytes) -> float:
     """Return the CPU seconds per task of reading this content, with all overhead."""
     entries = {f"task{number}": {"managed": True, "instance": "i1"} for number in range(TASKS)}
     for name in entries:
-        Path(metrics.get_metrics_path(state_dir.make_task_dir("edge1", name))).write_bytes(written)
+        Path(metrics.get_metrics_path(task_dirs.make_task_dir("edge1", name))).write_bytes(written)
     began = time.process_time()
     for _ in range(TIMES):
         metrics.read_tasks_metrics("edge1", entries)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from edgectl.agent.containers import record, swarm
-from edgectl.agent.measure import proc
+from edgectl.agent.measure import system_files
 
 # Services and the tasks of this node are lists in files; without a leader only what a manager remembers is shown.
 DOCKER = """#!/bin/sh
@@ -44,7 +44,7 @@ def write_record(folder: Path, docker: Path, **stated: object) -> str:
     """The record of a service that was asked for, and of which nothing was seen yet."""
     found = {
         "id": "", "program": str(docker / "docker"), "managers": [""], "place": f"n0de:{folder}", "service": "edgectl-lab-a-slam",
-        "image": "lab/slam:1", "services": [], "asked": 0.0, "boot_id": proc.read_boot_id(), "pending": True,
+        "image": "lab/slam:1", "services": [], "asked": 0.0, "boot_id": system_files.read_boot_id(), "pending": True,
     }  # fmt: skip
     record.write_container(str(folder), found | stated)
     return str(folder)

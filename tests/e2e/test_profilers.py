@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from edgectl.agent.measure import proc
+from edgectl.agent.measure import system_files
 from edgectl.cli import exit_codes
 from edgectl.errors import ExitCode, UsageError
 from edgectl.gateway.host_probe import ProbeOptions
@@ -67,7 +67,7 @@ def test_a_probe_reads_what_the_profilers_measured(lab: Lab, bench: Bench) -> No
     started = profilers.start_profilers(bench.fleet)
     assert set(list_states(started).values()) == {ProfilerState.STARTED}
     assert all(is_running(each.pid) for each in started), "the session that started them is over"
-    assert all(b"edgectl" not in proc.read_file(f"/proc/{each.pid}/cmdline") for each in started), (
+    assert all(b"edgectl" not in system_files.read_file(f"/proc/{each.pid}/cmdline") for each in started), (
         "the command line tells nothing"
     )
 

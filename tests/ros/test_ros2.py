@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from edgectl.agent.measure import proc
+from edgectl.agent.measure import proc, system_files
 from edgectl.agent.ros import graph2
 from edgectl.agent.supervise import state_dir
 from tests.agent.conftest import AgentHost, eventually
@@ -59,7 +59,7 @@ def list_helpers(domain: str) -> list[int]:
         pid
         for pid in proc.read_process_table()
         if any(word.startswith(mark) for word in proc.read_cmdline(pid))
-        and ours in proc.read_file(f"/proc/{pid}/environ").split(b"\0")
+        and ours in system_files.read_file(f"/proc/{pid}/environ").split(b"\0")
     ]
 
 
@@ -104,7 +104,13 @@ def test_a_lifecycle_is_ready_once_active_and_its_death_is_seen(
     assert ask(service="/none")["exit"] == 1
     helpers = set(list_helpers(domain)) - before
     assert (
-        len([pid for pid in helpers if b"EDGECTL_TASK_DIR" not in proc.read_file(f"/proc/{pid}/environ")])
+        len(
+            [
+                pid
+                for pid in helpers
+                if b"EDGECTL_TASK_DIR" not in system_files.read_file(f"/proc/{pid}/environ")
+            ]
+        )
         == 1
     )
     assert not helpers & lab.members("talker"), "it is no process of the task"

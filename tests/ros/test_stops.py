@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.agent.measure import proc
+from edgectl.agent.measure import proc, system_files
 from edgectl.agent.ros import registrations
 from edgectl.model.check import Check
 from edgectl.model.event import EventKind
@@ -68,7 +68,9 @@ def list_processes(folder: Path) -> list[int]:
     return [
         pid
         for pid in proc.read_process_table()
-        if any(entry.startswith(mark) for entry in proc.read_file(f"/proc/{pid}/environ").split(b"\0"))
+        if any(
+            entry.startswith(mark) for entry in system_files.read_file(f"/proc/{pid}/environ").split(b"\0")
+        )
     ]
 
 

@@ -10,7 +10,7 @@ import time
 from ..link import protocol
 from ..link.errors import RefusalError
 from ..link.fast_json import Document
-from ..supervise import lockfile, records, state_dir
+from ..supervise import lockfile, records, state_dir, task_dirs
 from ..supervise.spawn import run_detached
 from . import engine
 
@@ -30,7 +30,7 @@ def pull_image(request: Document) -> Document:
     """
     image, token = request["image"], str(request["instance"])
     program = engine.choose_program(image.get("engine"))
-    folder = state_dir.make_task_dir(state_dir.check_name(request["host"]), request["task"])
+    folder = task_dirs.make_task_dir(state_dir.check_name(request["host"]), request["task"])
     deadline = time.monotonic() + float(request["timeout_s"])
     if not _is_pulled(folder, token) and image["pull"] != "always" and _is_present(program, image):
         return {"state": protocol.PRESENT}

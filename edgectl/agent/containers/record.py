@@ -8,7 +8,7 @@ has in the control group of each of its processes, tells them from all others.
 import os
 
 from ..link.fast_json import Document
-from ..measure import proc
+from ..measure import proc, system_files
 from ..supervise import records
 
 FILE_NAME = "container"
@@ -81,7 +81,7 @@ def find_processes_by_id(container_id: str, table: "dict[int, proc.Process]") ->
         return set()
     # podman has a group of its own for the process that watches the container.
     word, watcher = container_id.encode(), b"conmon-" + container_id.encode()
-    groups = ((pid, proc.read_file("/proc/%d/cgroup" % pid)) for pid in table)
+    groups = ((pid, system_files.read_file("/proc/%d/cgroup" % pid)) for pid in table)
     return {pid for pid, text in groups if word in text and watcher not in text}
 
 

@@ -10,7 +10,7 @@ import os
 import time
 
 from ..link.fast_json import Document
-from ..measure import proc
+from ..measure import proc, system_files
 from . import ending, engine, record, service, swarm
 from .runner import START_S, ContainerRunner, EngineLostError, StartError, has_run
 
@@ -98,7 +98,7 @@ class ServiceRunner(ContainerRunner):
             service=self._name,
             services=list(services),
             asked=round(proc.read_uptime_s(), 2),
-            boot_id=proc.read_boot_id(),
+            boot_id=system_files.read_boot_id(),
             pending=True,
             pid=0,
             ticks=-1,

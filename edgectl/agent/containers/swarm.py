@@ -11,7 +11,7 @@ import time
 
 from ..link import fast_json
 from ..link.fast_json import Document
-from ..measure import proc
+from ..measure import proc, system_files
 from . import engine, record, service
 
 TYPE_CHECKING = False
@@ -172,7 +172,7 @@ def _has_left(program: str, place: str) -> bool:
 def _await_answer(found: Document) -> None:
     """Wait until the request for the service was answered, where nobody has heard the answer."""
     if found.get("pending") and not found.get("services"):
-        asked = float(found["asked"]) if found.get("boot_id") == proc.read_boot_id() else 0.0
+        asked = float(found["asked"]) if found.get("boot_id") == system_files.read_boot_id() else 0.0
         time.sleep(min(_ANSWER_S, max(0.0, asked + _ANSWER_S - proc.read_uptime_s())))
 
 

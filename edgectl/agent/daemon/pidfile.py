@@ -10,8 +10,8 @@ import sys
 from ..link.boot import check_private_dir, make_private_dir
 from ..link.errors import RefusalError
 from ..link.fast_json import Document
-from ..measure import proc
-from ..supervise import lockfile, records, state_dir
+from ..measure import proc, system_files
+from ..supervise import lockfile, records, state_dir, task_dirs
 from . import sample_ring
 
 _NAME, _LOCK, _RECORD = "profiler", "lock", "record"
@@ -44,8 +44,8 @@ def make_folder(host: str) -> str:
         try:
             for level in levels:
                 make_private_dir(level)
-            state_dir.reserve_file(os.path.join(levels[-1], _LOCK), 0)
-            state_dir.reserve_file(os.path.join(levels[-1], _RECORD), records.RECORD_BYTES)
+            task_dirs.reserve_file(os.path.join(levels[-1], _LOCK), 0)
+            task_dirs.reserve_file(os.path.join(levels[-1], _RECORD), records.RECORD_BYTES)
             return levels[-1]
         except OSError as error:
             reasons.append("%s: %s" % (levels[0], error.strerror or error))
@@ -59,7 +59,7 @@ def make_folder(host: str) -> str:
 def build_identity(fd: int) -> Document:
     """Build the identity of this process and its ring in ``fd``."""
     me = proc.read_own_process()
-    return {"pid": me.pid, "ticks": me.ticks, "boot_id": proc.read_boot_id(), "ring": fd}
+    return {"pid": me.pid, "ticks": me.ticks, "boot_id": system_files.read_boot_id(), "ring": fd}
 
 
 def write_pidfile(folder: str, known: Document) -> None:
@@ -84,7 +84,7 @@ def read_end_reason(host: str) -> str:
                 known.get(
                     "ended",
                     "it was killed"
-                    if known.get("boot_id") == proc.read_boot_id()
+                    if known.get("boot_id") == system_files.read_boot_id()
                     else "the host was rebooted",
                 )
             )
@@ -138,7 +138,7 @@ def find_profiler(host: str) -> "ProfilerProcess | None":
     for folder in list_folders(host):
         known = records.read_record(os.path.join(folder, _RECORD))
         pid, ticks = known.get("pid", 0), known.get("ticks", -1)
-        if known.get("boot_id") == proc.read_boot_id() and proc.is_process_alive(pid, ticks):
+        if known.get("boot_id") == system_files.read_boot_id() and proc.is_process_alive(pid, ticks):
             return ProfilerProcess(folder, pid, ticks, known["ring"])
     return None
 

@@ -9,7 +9,7 @@ from .stub import SEAL_BYTES, compute_seal, name_code
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import List, Union
+    from typing import Dict, List, Set
 
     from .boot import Bundle
 
@@ -62,28 +62,50 @@ def write_bundle(importer: AgentImporter, operation: str) -> None:
     left_out = () if operation == OP_CONVERSE else (STUB, __name__)
     kept = {name: each for name, each in importer.bundle.items() if name not in left_out}
     code = join_code(kept)
-    _write_and_rename(fd, partial, path, _compute_seal(importer.key, path, code) + code)
+    _write_and_rename(fd, partial, path, compute_seal(importer.key.encode(), operation.encode(), code) + code)
 
 
 def join_code(bundle: "Bundle") -> bytes:
-    """Join the code of modules to one file, each apart: a request unmarshals what it needs (``split_code``).
+    """Join the code of modules to one file: a request unmarshals what it needs (``split_code``).
 
-    The boot program comes first. At the end: the fingerprint of the agent, what each module needs, and where
-    each begins and ends, in the order of ``bundle``, and the length of that.
+    Modules that are needed together are marshalled together, which shares their names and takes a quarter
+    less CPU to unmarshal. The boot program comes first. At the end: the fingerprint of the agent, what each
+    module needs, and where each begins and ends, in the order of ``bundle``, and the length of that.
     """
     joined, spans = bytearray(), {}
-    names = [name for name in bundle if name not in (FINGERPRINT, NEEDS)]
-    for name in sorted(names, key=lambda each: each != BOOT):
-        code, begin = bundle[name], len(joined)
-        if code is not None:
-            # One after the other: an agent that stays would keep the memory of all of them.
-            joined += code if isinstance(code, memoryview) else marshal.dumps(code)
-            spans[name] = begin, len(joined)
-    places = [(name, *spans.get(name, (0, 0))) for name in names]
+    for names in _group_modules(bundle):
+        begin, code = len(joined), bundle[names[0]]
+        # One after the other: an agent that stays would keep the memory of all of them.
+        if not isinstance(code, memoryview):
+            code = marshal.dumps(code if names == [BOOT] else {name: bundle[name] for name in names})
+        joined += code
+        spans.update(dict.fromkeys(names, (begin, len(joined))))
+    places = [(name, spans.get(name, (0, 0))) for name in bundle if name not in (FINGERPRINT, NEEDS)]
     index = marshal.dumps((bundle[FINGERPRINT], bundle[NEEDS], places))
     joined += index
     joined += len(index).to_bytes(4, "little")
     return bytes(joined)
+
+
+def _group_modules(bundle: "Bundle") -> "List[List[str]]":
+    """Group the modules that have code: the boot program, then each that no other needs, with what it needs.
+
+    Those that were not unmarshalled stay as they were grouped.
+    """
+    loose: "Set[str]" = set()
+    kept: "Dict[int, List[str]]" = {}
+    for name, code in bundle.items():
+        if isinstance(code, memoryview) and name != BOOT:
+            kept.setdefault(id(code), []).append(name)
+        elif code is not None and name not in (BOOT, FINGERPRINT, NEEDS):
+            loose.add(name)
+    groups = [[BOOT]] if BOOT in bundle else []
+    # From the last that ran: each comes after those that it needs.
+    for name in reversed(list(bundle[NEEDS])):
+        group = [each for each in (*bundle[NEEDS][name], name) if each in loose]
+        loose.difference_update(group)
+        groups += [group] if group else []
+    return [*groups, *([name] for name in sorted(loose)), *kept.values()]
 
 
 def read_code(importer: AgentImporter, operation: str) -> "Bundle":
@@ -93,11 +115,7 @@ def read_code(importer: AgentImporter, operation: str) -> "Bundle":
 
 def _find_code_path(importer: AgentImporter, folder: str, operation: str) -> str:
     """Find the file of an operation's code: ``stub.py`` reads it."""
-    return os.path.join(folder, importer.sha, *name_code(importer.key, operation))
-
-
-def _compute_seal(key: str, path: str, code: "Union[bytes, memoryview]") -> bytes:
-    return compute_seal(key.encode(), os.path.basename(path).encode(), code)
+    return os.path.join(folder, importer.sha, *name_code(importer.key.encode(), operation))
 
 
 def _read_bundle(importer: AgentImporter, path: str) -> "Bundle":
@@ -106,7 +124,8 @@ def _read_bundle(importer: AgentImporter, path: str) -> "Bundle":
         data = memoryview(read_file(path)[0])
     except OSError:
         return {}
-    if data[:SEAL_BYTES] != _compute_seal(importer.key, path, data[SEAL_BYTES:]):
+    operation = os.path.basename(path).partition(".")[0]
+    if data[:SEAL_BYTES] != compute_seal(importer.key.encode(), operation.encode(), data[SEAL_BYTES:]):
         return {}
     return split_code(data[SEAL_BYTES:])
 

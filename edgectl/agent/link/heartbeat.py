@@ -6,11 +6,9 @@ the usual state directory cannot be written, shared memory takes the record: a f
 end tasks that a manager still contacts.
 """
 
-import os
-
-from ..measure import proc
-from ..supervise import lockfile, records, state_dir
-from .boot import check_private_dir, make_private_dir
+from ..measure import system_files
+from ..supervise import records, state_dir
+from .boot import check_private_dir, is_dir, make_private_dir
 from .fast_json import Document
 
 _FILE_NAME = "contact"
@@ -27,14 +25,17 @@ def record_heartbeat(host: str) -> None:
 
 def _record_under_name(host: str) -> None:
     places = state_dir.list_host_dirs(host)
-    if not any(os.path.isdir(levels[-1]) for levels in places):
+    if not any(is_dir(levels[-1]) for levels in places):
         return
-    heartbeat: Document = {"boot_id": proc.read_boot_id(), "at": round(proc.read_uptime_s(), 3)}
+    # Of the process table, which a host without tasks does not need, it has the clock.
+    from ..measure import proc
+
+    heartbeat: Document = {"boot_id": system_files.read_boot_id(), "at": round(proc.read_uptime_s(), 3)}
     for levels in places:
         try:
             for level in levels:
                 make_private_dir(level)
-            records.write_record(os.path.join(levels[-1], _FILE_NAME), heartbeat)
+            records.write_record(levels[-1] + "/" + _FILE_NAME, heartbeat)
         except OSError:
             continue
         break
@@ -43,13 +44,16 @@ def _record_under_name(host: str) -> None:
 
 def _record_for_adopted(host: str, heartbeat: Document) -> None:
     """Record it, too, where the supervisors of adopted tasks look for it, while one of them lives."""
-    if not any(lockfile.is_lock_held(folder) for folder in state_dir.list_adopted_dirs(host)):
+    adopted = state_dir.list_adopted_dirs(host)
+    if not adopted:
+        return
+    from ..supervise import lockfile
+
+    if not any(lockfile.is_lock_held(folder) for folder in adopted):
         return
     for base in state_dir.list_own_bases():
         try:
-            records.write_record(
-                os.path.join(state_dir.list_legacy_levels(base, host)[-2], _FILE_NAME), heartbeat
-            )
+            records.write_record(state_dir.list_legacy_levels(base, host)[-2] + "/" + _FILE_NAME, heartbeat)
         except OSError:
             continue
 
@@ -61,9 +65,9 @@ def read_last_heartbeat(host: str) -> float:
         try:
             for level in levels:
                 check_private_dir(level)
-            heartbeat = records.read_record(os.path.join(levels[-1], _FILE_NAME))
+            heartbeat = records.read_record(levels[-1] + "/" + _FILE_NAME)
         except OSError:
             continue
-        if heartbeat.get("boot_id") == proc.read_boot_id():
+        if heartbeat.get("boot_id") == system_files.read_boot_id():
             found.append(float(heartbeat.get("at", 0.0)))
     return max(found)

@@ -11,7 +11,7 @@ import time
 
 from ..link import protocol
 from ..link.fast_json import Document
-from . import proc
+from . import system_files
 from .counters_rules import (
     NFT_PATHS,
     SCOPE_LEVELS,
@@ -242,8 +242,8 @@ def read_frame_sizes(
 
 def _read_frame_size(interface: str) -> "tuple[int, int]":
     folder = "/sys/class/net/%s/" % interface
-    mtu = proc.read_file(folder + "mtu").decode("ascii", "replace").strip()
-    kind = proc.read_file(folder + "type").decode("ascii", "replace").strip()
+    mtu = system_files.read_file(folder + "mtu").decode("ascii", "replace").strip()
+    kind = system_files.read_file(folder + "type").decode("ascii", "replace").strip()
     head = _ETHERNET_BYTES if kind in _WITH_ETHERNET or not kind else 0
     return (int(mtu) if mtu.isdigit() and int(mtu) >= 68 else 1500), head
 
@@ -300,7 +300,7 @@ def find_scope(pids: "set[int]") -> str:
     """
     if not pids:
         return ""
-    text = proc.read_file("/proc/%d/cgroup" % min(pids)).decode("utf-8", "replace")
+    text = system_files.read_file("/proc/%d/cgroup" % min(pids)).decode("utf-8", "replace")
     path = next((line[3:] for line in text.splitlines() if line.startswith("0::")), "")
     parts = path.strip("/").split("/")
     for number, part in enumerate(parts):

@@ -4,7 +4,7 @@
 import os
 
 from ..link.fast_json import Document
-from . import proc
+from . import proc, system_files
 
 _NAME_WORDS = ("__name:=", "__node:=")
 _SPACE_WORD = "__ns:="
@@ -44,7 +44,7 @@ def _read_namespace(pid: int, argv: "list[str]") -> "str | None":
     """Read the namespace in which a process was started; None where that cannot be seen."""
     stated = [word.partition(_SPACE_WORD)[2] for word in argv if _SPACE_WORD in word]
     if not stated:
-        environ = proc.read_file("/proc/%d/environ" % pid)
+        environ = system_files.read_file("/proc/%d/environ" % pid)
         if not environ:
             return None
         begins = b"ROS_NAMESPACE="

@@ -9,7 +9,8 @@ import os
 import sys
 import time
 
-from . import cgroup, proc
+from ..link.boot import is_dir
+from . import cgroup, system_files
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -34,11 +35,12 @@ def find_psutil_folder() -> "str | None":
     Python was started without ``site``, so the usual folders are searched here.
     """
     lib = "lib/python%d.%d/" % sys.version_info[:2]
-    prefixes = [os.path.dirname(os.path.dirname(sys.executable)), sys.prefix]
-    folders = [os.path.join(prefix, lib, "site-packages") for prefix in prefixes]
+    # Two levels above the program.
+    prefixes = [sys.executable.rsplit("/", 2)[0], sys.prefix]
+    folders = ["%s/%ssite-packages" % (prefix, lib) for prefix in prefixes]
     if sys.prefix == "/usr":
         folders += ["/usr/local/" + lib + "dist-packages", "/usr/lib/python3/dist-packages"]
-    return next((folder for folder in folders if os.path.isdir(os.path.join(folder, "psutil"))), None)
+    return next((folder for folder in folders if is_dir(folder + "/psutil")), None)
 
 
 def import_psutil() -> "ModuleType | None":
@@ -62,17 +64,26 @@ def _read_busy_s(allowed: "set[int]") -> float:
     """Read the seconds since boot in which the allowed CPUs were busy."""
     total = 0.0
     # What follows the CPUs is longer.
-    for line in proc.read_file("/proc/stat").partition(b"\nintr")[0].decode("ascii", "replace").splitlines():
+    for line in (
+        system_files.read_file("/proc/stat").partition(b"\nintr")[0].decode("ascii", "replace").splitlines()
+    ):
         name, _, rest = line.partition(" ")
         if name[:3] == "cpu" and name[3:].isdigit() and int(name[3:]) in allowed:
             columns = [int(column) for column in rest.split()[:_BUSY_COLUMNS]]
             total += sum(columns) - sum(columns[index] for index in _IDLE_COLUMNS)
-    return total / proc.TICKS_PER_S
+    return total / system_files.TICKS_PER_S
 
 
 def _read_own_cpu_s() -> float:
     times = os.times()
     return times.user + times.system + times.children_user + times.children_system
+
+
+def _read_limited_s(limit: cgroup.CgroupLimit) -> float:
+    # Only for hosts with a limit: this and its like below are a third of the code of control groups.
+    from .cgroup_usage import read_cpu_used_s
+
+    return read_cpu_used_s(limit)
 
 
 class CpuMeter:
@@ -84,7 +95,7 @@ class CpuMeter:
         self.allowed = list_usable_cpus()
         self.limit = cgroup.find_cpu_limit()
         if self.limit is not None and (
-            self.limit.value >= len(self.allowed) or cgroup.read_cpu_used_s(self.limit) < 0
+            self.limit.value >= len(self.allowed) or _read_limited_s(self.limit) < 0
         ):
             self.limit = None
         self.start = self._read_now()
@@ -93,7 +104,7 @@ class CpuMeter:
         return (time.monotonic(), self._used_s(), _read_own_cpu_s())
 
     def _used_s(self) -> float:
-        return _read_busy_s(self.allowed) if self.limit is None else cgroup.read_cpu_used_s(self.limit)
+        return _read_busy_s(self.allowed) if self.limit is None else _read_limited_s(self.limit)
 
     def measure(self) -> "dict[str, float]":
         """Measure ``cores`` (the smaller of affinity and quota) and ``used_cores``, 0..cores."""
@@ -111,16 +122,18 @@ def read_memory() -> "dict[str, int]":
     total, used = read_machine_memory()
     limit = cgroup.find_memory_limit()
     if limit is not None and limit.value < total:
+        from .cgroup_usage import read_memory_used
+
         return {
             "total_bytes": int(limit.value),
-            "used_bytes": min(int(limit.value), cgroup.read_memory_used(limit)),
+            "used_bytes": min(int(limit.value), read_memory_used(limit)),
         }
     return {"total_bytes": total, "used_bytes": used}
 
 
 def read_machine_memory(path: str = "/proc/meminfo") -> "tuple[int, int]":
     """Read (total, used) bytes of the machine."""
-    text = b"\n" + proc.read_file(path)
+    text = b"\n" + system_files.read_file(path)
     total, free = _find_bytes(text, b"MemTotal"), _find_bytes(text, b"MemAvailable")
     # Linux before 3.14 states no available memory, and psutil estimates it.
     psutil = import_psutil() if free is None else None
@@ -142,19 +155,21 @@ def _find_bytes(text: bytes, name: bytes) -> "int | None":
 
 def read_load_1m() -> float:
     """Read the one-minute load average."""
-    return float(proc.read_file("/proc/loadavg").split()[0])
+    return float(system_files.read_file("/proc/loadavg").split()[0])
 
 
 def read_temperature_c(root: str = "") -> "float | None":
     """Read the hottest plausible sensor in degrees Celsius; None where the host shows none."""
-    texts = [(path, proc.read_text(path)) for path in _list_sensor_files(root)]
+    texts = [(path, system_files.read_text(path)) for path in _list_sensor_files(root)]
     found = [
         int(text) / 1000.0
         for path, text in texts
         if text.lstrip("-").isdigit() and not (text == "100000" and _is_constant(path))
     ]
     # psutil knows more places of sensors; without a chip there is none.
-    psutil = import_psutil() if not found and not root and proc.list_folder("/sys/class/hwmon") else None
+    psutil = (
+        import_psutil() if not found and not root and system_files.list_folder("/sys/class/hwmon") else None
+    )
     if psutil is not None:
         found = _read_psutil_temperatures(psutil)
     plausible = [value for value in found if 0.0 < value < 150.0]
@@ -163,15 +178,17 @@ def read_temperature_c(root: str = "") -> "float | None":
 
 def _is_constant(path: str) -> bool:
     """Whether a sensor is the one of Jetsons that states 100 degrees, whatever it is."""
-    return proc.read_text(os.path.dirname(path) + "/type") == "PMIC-Die"
+    return system_files.read_text(os.path.dirname(path) + "/type") == "PMIC-Die"
 
 
 def _list_sensor_files(root: str) -> "list[str]":
-    zones = ["%s/temp" % zone for zone in proc.list_folder(root + "/sys/class/thermal", "thermal_zone")]
+    zones = [
+        "%s/temp" % zone for zone in system_files.list_folder(root + "/sys/class/thermal", "thermal_zone")
+    ]
     chips = [
         file
-        for chip in proc.list_folder(root + "/sys/class/hwmon")
-        for file in proc.list_folder(chip, "temp")
+        for chip in system_files.list_folder(root + "/sys/class/hwmon")
+        for file in system_files.list_folder(chip, "temp")
     ]
     return zones + [
         file for file in chips if os.path.basename(file).startswith("temp") and file.endswith("_input")
@@ -187,9 +204,9 @@ def _read_psutil_temperatures(psutil: "ModuleType") -> "list[float]":
 
 def start_hardware_meter(root: str = "") -> "HardwareMeter | None":
     """Start the meter of GPU, power and battery; None where no folder shows any of them."""
-    gpus = [path for folder in _GPU_FOLDERS for path in proc.list_folder(root + folder, "gpu")]
+    gpus = [path for folder in _GPU_FOLDERS for path in system_files.list_folder(root + folder, "gpu")]
     has_tool = _has_nvidia_smi()
-    if not (gpus or has_tool or any(proc.list_folder(root + folder) for folder in _HARDWARE_FOLDERS)):
+    if not (gpus or has_tool or any(system_files.list_folder(root + folder) for folder in _HARDWARE_FOLDERS)):
         return None
     from .hardware import HardwareMeter
 
@@ -204,4 +221,4 @@ def measure_hardware(meter: "HardwareMeter | None") -> "dict[str, Any]":
 def _has_nvidia_smi() -> bool:
     """Whether the tool of NVIDIA's driver is installed."""
     folders = os.environ.get("PATH", os.defpath).split(os.pathsep)
-    return any(os.access(os.path.join(folder, "nvidia-smi"), os.X_OK) for folder in folders)
+    return any(os.access(folder + "/nvidia-smi", os.X_OK) for folder in folders if folder)

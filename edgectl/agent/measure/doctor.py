@@ -12,7 +12,7 @@ from ..link import boot, protocol
 from ..link.fast_json import Document
 from ..ros import facts, local
 from ..supervise import logind, scope, shell, state_dir
-from . import device, interfaces, network, proc
+from . import device, interfaces, network, system_files
 
 ROS_VARIABLES = ("ROS_MASTER_URI", "ROS_DOMAIN_ID", "RMW_IMPLEMENTATION")
 _CONNECT_S = 1.0
@@ -48,9 +48,9 @@ def collect_facts(request: Document) -> Document:
         "python": "%d.%d.%d" % sys.version_info[:3],
         "psutil": device.find_psutil_folder() is not None,
         "machine": {
-            "boot_id": proc.read_boot_id(),
-            "machine_id": proc.read_machine_id(),
-            "pid_namespace": proc.read_pid_namespace(),
+            "boot_id": system_files.read_boot_id(),
+            "machine_id": system_files.read_machine_id(),
+            "pid_namespace": system_files.read_pid_namespace(),
         },
         "logind": read_login_facts(),
         "disk": dict(

@@ -9,7 +9,7 @@ discharging, else the sum of processor packages (RAPL), sensors and graphics car
 import os
 import time
 
-from . import proc
+from . import system_files
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class HardwareMeter:
 
     def _read_gpu(self) -> "tuple[dict[str, Any], list[float]]":
         """Read (number, use and memory of the GPUs; empty without any, the watts of each card)."""
-        for text in [proc.read_text(path + "/load") for path in self.gpus]:
+        for text in [system_files.read_text(path + "/load") for path in self.gpus]:
             if text.isdigit():
                 total, used = self.read_memory()
                 return {
@@ -109,10 +109,10 @@ def read_power(root: str, parts: "list[float]") -> "float | None":
 def _read_jetson_rails(root: str) -> "list[tuple[str, float]]":
     """Read (name, watts) of the rails of a Jetson under JetPack 4."""
     rails = []
-    for chip in proc.list_folder(root + _INA_FOLDER, "-"):
-        for folder in proc.list_folder(chip, "iio:device"):
+    for chip in system_files.list_folder(root + _INA_FOLDER, "-"):
+        for folder in system_files.list_folder(chip, "iio:device"):
             for number in range(3):
-                name = proc.read_text("%s/rail_name_%d" % (folder, number))
+                name = system_files.read_text("%s/rail_name_%d" % (folder, number))
                 milliwatts = _read_number("%s/in_power%d_input" % (folder, number))
                 if name and milliwatts is not None:
                     rails.append((name, milliwatts / 1000.0))
@@ -122,8 +122,8 @@ def _read_jetson_rails(root: str) -> "list[tuple[str, float]]":
 def _read_hwmon_rails(root: str) -> "list[tuple[str, float]]":
     """Read (name, watts) of the sensors of hwmon: of power, or of voltage and current of one channel."""
     rails = []
-    for chip in proc.list_folder(root + "/sys/class/hwmon"):
-        files = {os.path.basename(path) for path in proc.list_folder(chip)}
+    for chip in system_files.list_folder(root + "/sys/class/hwmon"):
+        files = {os.path.basename(path) for path in system_files.list_folder(chip)}
         for name in sorted(files):
             if name in ("power1_input", "power1_average"):
                 microwatts = _read_number("%s/%s" % (chip, name))
@@ -131,7 +131,7 @@ def _read_hwmon_rails(root: str) -> "list[tuple[str, float]]":
             if not (name.startswith("curr") and name.endswith("_input")):
                 continue
             number = name[len("curr") : -len("_input")]
-            label = proc.read_text("%s/in%s_label" % (chip, number))
+            label = system_files.read_text("%s/in%s_label" % (chip, number))
             volts = _read_number("%s/in%s_input" % (chip, number))
             amperes = _read_number("%s/%s" % (chip, name))
             if label and volts is not None and amperes is not None:
@@ -142,12 +142,12 @@ def _read_hwmon_rails(root: str) -> "list[tuple[str, float]]":
 def _read_package_energies(root: str) -> "dict[str, tuple[float, float]]":
     """Read (microjoules, where the counter begins anew) by processor package; only root may, as a rule."""
     found = {}
-    for zone in proc.list_folder(root + "/sys/class/powercap", ":"):
+    for zone in system_files.list_folder(root + "/sys/class/powercap", ":"):
         # intel-rapl:0 is a package, intel-rapl:0:1 a part of it; AMD's have the same names.
         if os.path.basename(zone).count(":") != 1 or "mmio" in zone:
             continue
         energy = _read_number(zone + "/energy_uj")
-        if energy is not None and proc.read_text(zone + "/name") != "psys":
+        if energy is not None and system_files.read_text(zone + "/name") != "psys":
             found[zone] = energy, _read_number(zone + "/max_energy_range_uj") or 0.0
     return found
 
@@ -169,8 +169,9 @@ def _list_batteries(root: str) -> "list[str]":
     """List the batteries of the host, without those of a mouse or a pen."""
     return [
         supply
-        for supply in proc.list_folder(root + "/sys/class/power_supply")
-        if proc.read_text(supply + "/type") == "Battery" and proc.read_text(supply + "/scope") != "Device"
+        for supply in system_files.list_folder(root + "/sys/class/power_supply")
+        if system_files.read_text(supply + "/type") == "Battery"
+        and system_files.read_text(supply + "/scope") != "Device"
     ]
 
 
@@ -185,7 +186,7 @@ def _read_discharge(root: str) -> "float | None":
     """Read the watts that batteries give; None where none does."""
     found = []
     for supply in _list_batteries(root):
-        if proc.read_text(supply + "/status") != "Discharging":
+        if system_files.read_text(supply + "/status") != "Discharging":
             continue
         microwatts = _read_number(supply + "/power_now")
         if microwatts is None:
@@ -197,5 +198,5 @@ def _read_discharge(root: str) -> "float | None":
 
 def _read_number(path: str) -> "float | None":
     """Read a number, without its sign: some batteries state what they give as negative."""
-    text = proc.read_text(path).lstrip("-")
+    text = system_files.read_text(path).lstrip("-")
     return float(text) if text.isdigit() else None

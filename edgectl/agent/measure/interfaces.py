@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Network interfaces of this host: bytes since boot, rates, and the speeds that their drivers state."""
 
-import os
-
 from ..link.fast_json import Document
-from . import proc, radio
+from . import radio, system_files
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -14,7 +12,7 @@ if TYPE_CHECKING:
 def read_interface_bytes() -> "dict[str, tuple[int, int]]":
     """Read interface -> (bytes in, bytes out) since boot."""
     found: "dict[str, tuple[int, int]]" = {}
-    for line in proc.read_file("/proc/net/dev").decode("ascii", "replace").splitlines()[2:]:
+    for line in system_files.read_file("/proc/net/dev").decode("ascii", "replace").splitlines()[2:]:
         name, _, rest = line.partition(":")
         columns = rest.split()
         found[name.strip()] = (int(columns[0]), int(columns[8]))
@@ -55,5 +53,5 @@ def build_interface_entry(
 
 def read_interface_speed(name: str) -> "int | None":
     """Read bytes/s; None where the driver does not know (Wi-Fi, lo): /sys has Mbit/s, -1 or nothing."""
-    text = proc.read_file(os.path.join("/sys/class/net", name, "speed")).decode("ascii", "replace").strip()
+    text = system_files.read_file("/sys/class/net/%s/speed" % name).decode("ascii", "replace").strip()
     return int(text) * 125000 if text.isdigit() and int(text) > 0 else None

@@ -14,7 +14,7 @@ import time
 
 from ..link import protocol
 from ..link.fast_json import Document
-from . import link_rate, proc, radio, sockets
+from . import link_rate, proc, radio, radio_rate, sockets, system_files
 from .sockets import socket
 
 # Port "discard": nothing listens, and the refusal gives the round-trip time. Not sshd: it penalises
@@ -131,7 +131,7 @@ def read_flows_since_open(addresses: "Addresses") -> "list[Flow]":
 
 def start_counter_meter(fleet: str, addresses: "Addresses") -> "CounterMeter | None":
     """Start the meter of the byte counters; None where there is no installation for the fleet."""
-    if not addresses or not os.path.exists(protocol.COUNTERS_FILE % fleet):
+    if not addresses or not os.access(protocol.COUNTERS_FILE % fleet, os.F_OK):
         return None
     from .counters import CounterMeter
 
@@ -261,7 +261,8 @@ class ConnectProbes:
 def _read_unanswered_neighbours() -> "set[str]":
     """Read the IPv4 neighbours that did not answer ARP."""
     rows = (
-        line.split() for line in proc.read_file("/proc/net/arp").decode("ascii", "replace").splitlines()[1:]
+        line.split()
+        for line in system_files.read_file("/proc/net/arp").decode("ascii", "replace").splitlines()[1:]
     )
     return {row[0] for row in rows if len(row) > 2 and int(row[2], 16) & 0x2 == 0}
 
@@ -280,7 +281,7 @@ def build_links(
     ``udp``: the sockets as ``UdpMeter.find_sockets``; a link with a connected one is partly seen, unless it
     is ``counted``.
     """
-    radios, unseen = radio.read_rates(interfaces.values()), set(udp.values())
+    radios, unseen = radio_rate.read_rates(interfaces.values()), set(udp.values())
     links = {}
     for robot, found in addresses.items():
         links[robot] = dict(
@@ -324,7 +325,7 @@ def build_peers(peers: "Addresses", flows: "list[Flow]", seconds: float) -> "dic
         for edge, addresses in peers.items()
     }
     interfaces = find_interfaces(peers) if peers and radio.list_radios() else {}
-    radios = radio.read_rates(interfaces.values())
+    radios = radio_rate.read_rates(interfaces.values())
     return {
         edge: {"carries_bytes_per_s": rate, "radio_bytes_per_s": radios.get(interfaces.get(edge))}
         for edge, rate in found.items()
@@ -372,7 +373,7 @@ def find_interface(address: str) -> "str | None":
 def _find_route_v4(address: str) -> "str | None":
     target = int.from_bytes(socket.inet_aton(address), "little")
     best: "tuple[int, str | None]" = (-1, None)
-    for line in proc.read_file("/proc/net/route").decode("ascii", "replace").splitlines()[1:]:
+    for line in system_files.read_file("/proc/net/route").decode("ascii", "replace").splitlines()[1:]:
         row = line.split()
         mask = int(row[7], 16)
         if target & mask == int(row[1], 16) and bin(mask).count("1") > best[0]:
@@ -383,7 +384,7 @@ def _find_route_v4(address: str) -> "str | None":
 def _find_route_v6(address: str) -> "str | None":
     target = int.from_bytes(socket.inet_pton(socket.AF_INET6, address), "big")
     best: "tuple[int, str | None]" = (-1, None)
-    for line in proc.read_file("/proc/net/ipv6_route").decode("ascii", "replace").splitlines():
+    for line in system_files.read_file("/proc/net/ipv6_route").decode("ascii", "replace").splitlines():
         row = line.split()
         length = int(row[1], 16)
         if (target ^ int(row[0], 16)) >> (128 - length) == 0 and length > best[0] and row[9] != "lo":

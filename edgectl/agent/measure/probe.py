@@ -6,9 +6,10 @@ import sys
 import time
 
 from ..link import protocol
+from ..link.boot import is_dir
 from ..link.fast_json import Document
-from ..supervise import adoption, grants, other_tasks, state_dir
-from . import device, interfaces, proc
+from ..supervise import grants, other_tasks, state_dir, unowned
+from . import device, interfaces, system_files
 from .task_meter import TaskMeter, Traffic
 
 TYPE_CHECKING = False
@@ -21,6 +22,11 @@ if TYPE_CHECKING:
 
 _MAX_WINDOW_S = 30.0
 _MIN_CONNECT_S = 0.02
+# What the polynomial of zlib.crc32 makes of each four bits.
+_CRC_OF_HALF_BYTES = (
+    *(0x00000000, 0x1DB71064, 0x3B6E20C8, 0x26D930AC, 0x76DC4190, 0x6B6B51F4, 0x4DB26158, 0x5005713C),
+    *(0xEDB88320, 0xF00F9344, 0xD6D6A3E8, 0xCB61B38C, 0x9B64C2B0, 0x86D3D2D4, 0xA00AE278, 0xBDBDF21C),
+)
 
 
 def probe_host(request: Document) -> Document:
@@ -53,8 +59,8 @@ def probe_again(request: Document, meter: "WindowMeter | None") -> Document:
             "op": protocol.OP_PROBE,
             "host": request["host"],
             "python": "%d.%d.%d" % sys.version_info[:3],
-            "boot_id": proc.read_boot_id(),
-            "pid_namespace": proc.read_pid_namespace(),
+            "boot_id": system_files.read_boot_id(),
+            "pid_namespace": system_files.read_pid_namespace(),
             "machine": _describe_place(),
             "wall": time.time(),
             "load_1m": device.read_load_1m(),
@@ -63,7 +69,7 @@ def probe_again(request: Document, meter: "WindowMeter | None") -> Document:
                 [request["host"], *request.get("former", [])], measured["tasks"]
             ),
             "other_tasks": other_tasks.list_other_tasks(request["host"]),
-            "unowned": adoption.list_unowned_tasks(request["host"]),
+            "unowned": unowned.list_unowned_tasks(request["host"]),
             "former": state_dir.list_host_names(request["host"])[1:],
             "checks": checks.results(),
             "latencies": _read_latencies(request, measured["tasks"]),
@@ -110,7 +116,7 @@ def _list_engines(request: Document) -> Document:
 def _describe_place() -> str:
     """Describe where the tasks of this login are: machine, user and state directories."""
     folders = _compute_crc32("\0".join(state_dir.BASES).encode("utf-8", "surrogateescape"))
-    return "%s/%d/%08x" % (proc.read_machine_id(), os.getuid(), folders)
+    return "%s/%d/%08x" % (system_files.read_machine_id(), os.getuid(), folders)
 
 
 def _compute_crc32(data: bytes) -> int:
@@ -118,8 +124,8 @@ def _compute_crc32(data: bytes) -> int:
     crc = 0xFFFFFFFF
     for byte in data:
         crc ^= byte
-        for _ in range(8):
-            crc = crc >> 1 ^ (0xEDB88320 if crc & 1 else 0)
+        crc = crc >> 4 ^ _CRC_OF_HALF_BYTES[crc & 15]
+        crc = crc >> 4 ^ _CRC_OF_HALF_BYTES[crc & 15]
     return crc ^ 0xFFFFFFFF
 
 
@@ -136,7 +142,9 @@ def _remove_dead_containers(host: str) -> None:
     """Begin to remove what engines may still have of tasks of this host that have ended, as after a loss of
     power.
     """
-    folders = state_dir.find_task_dirs_with(host, "container")
+    from ..supervise import task_dirs
+
+    folders = task_dirs.find_task_dirs_with(host, "container")
     if not folders:
         return
     from ..containers.record import may_be_left
@@ -154,10 +162,8 @@ def _read_profiler(request: Document) -> "tuple[Document, _RunningChecks] | None
 
     None without a profiler that measures what is asked and is on time.
     """
-    if not any(
-        os.path.isdir(os.path.join(levels[-1], "profiler"))
-        for levels in state_dir.list_host_dirs(request["host"])
-    ):
+    hosts = [state_dir.find_host_dir(base, request["host"]) for base in state_dir.BASES]
+    if not any(is_dir(host + "/profiler") for host in hosts):
         return None
     from ..daemon.reader import read_measurements
 

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Process table, clock and files of /proc, read directly: psutil costs several times as much for lists."""
+"""Process table and clock, read directly from /proc: psutil costs several times as much for lists."""
 
 import os
 import time
 
-TICKS_PER_S = os.sysconf("SC_CLK_TCK")
-PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
+from .system_files import TICKS_PER_S, read_file
 
-_BLOCK = 1 << 16
+PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 
 # CLOCK_BOOTTIME, which module time has since Python 3.7.
 _CLOCK_BOOTTIME = 7
@@ -33,26 +32,6 @@ class Process:
         self.rss = int(field[21]) * PAGE_BYTES
 
 
-def read_file(path: str) -> bytes:
-    """Read a file; empty where it is gone or unreadable.
-
-    Takes two thirds of ``open``: whole process tables are read with it.
-    """
-    try:
-        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-    except OSError:
-        return b""
-    try:
-        parts = [os.read(fd, _BLOCK)]
-        while parts[-1]:
-            parts.append(os.read(fd, _BLOCK))
-        return b"".join(parts)
-    except OSError:
-        return b""
-    finally:
-        os.close(fd)
-
-
 def read_network_counters() -> bytes:
     """Read what this network namespace has counted of IPv4, TCP and UDP since boot."""
     return read_file("/proc/net/snmp")
@@ -62,19 +41,6 @@ def find_counters(counters: bytes, protocol: bytes) -> "dict[bytes, bytes]":
     """Find name -> number of a ``protocol`` (b"Tcp") in ``read_network_counters``."""
     rows = [row.split() for row in counters.splitlines() if row.startswith(protocol + b":")]
     return dict(zip(*rows)) if len(rows) == 2 else {}  # noqa: B905 - Python 3.6
-
-
-def read_text(path: str) -> str:
-    """Read a file of one value; empty where there is none."""
-    return read_file(path).decode("ascii", "replace").strip()
-
-
-def list_folder(folder: str, part: str = "") -> "list[str]":
-    """List the paths in ``folder`` with ``part`` in their names."""
-    try:
-        return sorted(folder + "/" + name for name in os.listdir(folder) if part in name)
-    except OSError:
-        return []
 
 
 def read_process(pid: int) -> "Process | None":
@@ -173,24 +139,6 @@ def list_socket_inodes(pid: int) -> "set[int]":
     except OSError:
         pass
     return found
-
-
-def read_boot_id() -> str:
-    """Read the id of this boot of the host."""
-    return read_file("/proc/sys/kernel/random/boot_id").decode().strip()
-
-
-def read_machine_id() -> str:
-    """Read the id of the installation; empty where it has none, as in many containers."""
-    return read_file("/etc/machine-id").decode("ascii", "replace").strip()
-
-
-def read_pid_namespace() -> str:
-    """Read the id of the processes that this login sees; empty where the kernel does not tell."""
-    try:
-        return os.readlink("/proc/self/ns/pid")
-    except OSError:
-        return ""
 
 
 def read_uptime_s() -> float:

@@ -6,7 +6,7 @@ tasks.
 from ..link import protocol
 from ..link.fast_json import Document
 from ..supervise import liveness, lockfile, state_dir, status
-from . import cgroup, detection, proc
+from . import cgroup_usage, detection, proc, system_files
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ def collect_cpu_s(group: TaskProcesses, table: "dict[int, proc.Process]") -> "di
     own work is not the task's, but it reaps the task's orphans. Of a container its control group counts.
     """
     if group.first in table:
-        used = cgroup.read_container_cpu_s(group.first)
+        used = cgroup_usage.read_container_cpu_s(group.first)
         if used >= 0:
             return {group.first: used}
     seconds = {pid: proc.read_cpu_s(table[pid]) + table[pid].child_cpu for pid in group.pids if pid in table}
@@ -154,7 +154,7 @@ def read_task_memory(group: TaskProcesses, table: "dict[int, proc.Process]") -> 
     Pages shared by several processes count once where the kernel tells how they are shared (PSS). Of a
     container its control group counts.
     """
-    used = cgroup.read_container_memory(group.first) if group.first in table else -1
+    used = cgroup_usage.read_container_memory(group.first) if group.first in table else -1
     if used >= 0:
         return used
     seen = [table[pid] for pid in group.pids if pid in table]
@@ -164,7 +164,7 @@ def read_task_memory(group: TaskProcesses, table: "dict[int, proc.Process]") -> 
 def _read_pss(pid: int, rss: int) -> int:
     if rss > _MAX_PSS_BYTES:
         return 0
-    for line in proc.read_file("/proc/%d/smaps_rollup" % pid).splitlines():
+    for line in system_files.read_file("/proc/%d/smaps_rollup" % pid).splitlines():
         if line.startswith(b"Pss:"):
             return int(line.split()[1]) * 1024
     return 0

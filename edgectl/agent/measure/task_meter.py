@@ -7,10 +7,10 @@ with that of the records of tasks, is a quarter of a probe's.
 
 from ..link.fast_json import Document
 from ..supervise import state_dir
-from . import proc
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from . import proc
     from .counters import Rates
     from .network import Flow
     from .task import TaskProcesses
@@ -50,7 +50,7 @@ class TaskMeter:
         names = state_dir.list_task_names(self.host)
         if not names and not self.detect:
             return []
-        from . import task
+        from . import proc, task
 
         self.may_live = bool(self.detect) or task.may_any_live(self.host, names)
         table = proc.read_process_table() if self.may_live else {}

@@ -4,7 +4,7 @@
 import sys
 import time
 
-from . import proc
+from . import proc, system_files
 from .sockets import socket, unmap_address
 
 _FAMILIES = {8: socket.AF_INET, 32: socket.AF_INET6}
@@ -42,7 +42,7 @@ def find_sockets(busy: bool) -> "dict[int, str]":
     least, most = _read_ephemeral_ports()
     found: "dict[int, str]" = {}
     for name in _TABLES:
-        for line in proc.read_file("/proc/net/" + name).decode("ascii", "replace").splitlines()[1:]:
+        for line in system_files.read_file("/proc/net/" + name).decode("ascii", "replace").splitlines()[1:]:
             row = line.split()
             (local, port), (remote, remote_port) = _parse_end(row[1]), _parse_end(row[2])
             if remote_port:
@@ -62,14 +62,14 @@ def _parse_end(text: str) -> "tuple[str, int]":
 
 
 def _read_ephemeral_ports() -> "tuple[int, int]":
-    words = proc.read_file("/proc/sys/net/ipv4/ip_local_port_range").split()
+    words = system_files.read_file("/proc/sys/net/ipv4/ip_local_port_range").split()
     return (int(words[0]), int(words[1])) if len(words) > 1 else _EPHEMERAL
 
 
 def _count_datagrams(counters: bytes) -> int:
     """Count the datagrams that this network namespace has received and sent."""
     found = proc.find_counters(counters, b"Udp")
-    for row in proc.read_file("/proc/net/snmp6").splitlines():
+    for row in system_files.read_file("/proc/net/snmp6").splitlines():
         if row.startswith(b"Udp6"):
             name, _, value = row.partition(b" ")
             found[name] = value

@@ -8,7 +8,7 @@ where the host has no radio.
 import time
 
 from ..link.fast_json import Document
-from . import proc, radio
+from . import radio, radio_rate, system_files
 from .sockets import socket
 
 # ioctl SIOCGIWAP of the wireless extensions: a struct sockaddr behind the name of 16 bytes.
@@ -67,10 +67,12 @@ def _build_entry(then: RadioState, now: RadioState, seconds: float) -> Document:
 def read_radios() -> "dict[str, RadioState]":
     """Read every radio of this host."""
     names = radio.list_radios()
-    found = parse_wireless(proc.read_file(radio.ROOT + "/proc/net/wireless").decode("ascii", "replace"))
+    found = parse_wireless(
+        system_files.read_file(radio.ROOT + "/proc/net/wireless").decode("ascii", "replace")
+    )
     for name in names:
         state = found.setdefault(name, RadioState())
-        text = radio.run_iw("dev", name, "station", "dump")
+        text = radio_rate.run_iw("dev", name, "station", "dump")
         if text:
             parse_stations(text, state)
         if not state.access_point:

@@ -4,7 +4,7 @@
 import os
 
 from ..link.fast_json import Document
-from ..measure import proc
+from ..measure import system_files
 from . import local
 
 _UP, _LOOPBACK, _MULTICAST = 0x1, 0x8, 0x1000
@@ -58,11 +58,11 @@ def _read_interface_flags(root: str = "/sys/class/net") -> "dict[str, int]":
         names = os.listdir(root)
     except OSError:
         return {}
-    texts = {name: proc.read_file("%s/%s/flags" % (root, name)) for name in names}
+    texts = {name: system_files.read_file("%s/%s/flags" % (root, name)) for name in names}
     found = {name: int(text, 16) for name, text in texts.items() if text.strip()}
     return {name: flag for name, flag in found.items() if flag & _UP and not flag & _LOOPBACK}
 
 
 def _read_number(path: str) -> "float | None":
-    text = proc.read_file(path).strip()
+    text = system_files.read_file(path).strip()
     return float(text) if text.isdigit() else None

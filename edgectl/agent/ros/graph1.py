@@ -10,7 +10,7 @@ import struct
 import time
 
 from ..link.fast_json import Document
-from ..measure import proc, sockets
+from ..measure import proc, sockets, system_files
 from . import local, xmlrpc
 from .xmlrpc import CallError
 
@@ -99,7 +99,7 @@ def is_listening(pid: int, port: int) -> bool:
     inodes = proc.list_socket_inodes(pid)
     wanted = "%04X" % port
     for table in ("/proc/net/tcp", "/proc/net/tcp6"):
-        for line in proc.read_file(table).decode("ascii", "replace").splitlines()[1:]:
+        for line in system_files.read_file(table).decode("ascii", "replace").splitlines()[1:]:
             words = line.split()
             listens = len(words) > 9 and words[3] == _LISTEN and words[1].endswith(":" + wanted)
             if listens and int(words[9]) in inodes:

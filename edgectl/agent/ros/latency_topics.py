@@ -14,7 +14,7 @@ from ..link.boot import make_private_dir
 from ..link.errors import RefusalError
 from ..link.fast_json import Document
 from ..measure.latency import LatencyCounter, describe_error, load_counts, save_counts
-from ..supervise import lockfile, records, spawn, state_dir
+from ..supervise import lockfile, records, spawn, state_dir, task_dirs
 from .listener import TopicListener
 from .local import fill_request
 
@@ -51,7 +51,7 @@ def _make_folder(host: str) -> str:
         try:
             for level in [*levels, folder]:
                 make_private_dir(level)
-            state_dir.reserve_file(os.path.join(folder, "lock"), 0)
+            task_dirs.reserve_file(os.path.join(folder, "lock"), 0)
         except OSError as error:
             fault = error
         else:

@@ -9,7 +9,7 @@ import time
 from ..link import protocol
 from ..link.errors import RefusalError
 from ..link.fast_json import Document, dumps
-from ..measure import detection, proc
+from ..measure import detection, proc, system_files
 from ..supervise import liveness, shell
 from .local import fill_request, list_setup_files
 
@@ -107,7 +107,7 @@ def _describe_process(
 def _read_task(pid: int) -> str:
     """Read which task a process belongs to; empty for none."""
     mark = b"EDGECTL_TASK_DIR="
-    for entry in proc.read_file("/proc/%d/environ" % pid).split(b"\0"):
+    for entry in system_files.read_file("/proc/%d/environ" % pid).split(b"\0"):
         if entry.startswith(mark):
             parts = entry[len(mark) :].decode("utf-8", "replace").split("/")
             return "/".join((parts[-5], parts[-3], parts[-1])) if len(parts) >= 5 else "?"

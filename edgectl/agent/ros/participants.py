@@ -9,7 +9,7 @@ process.
 import re
 
 from ..link.fast_json import Document
-from ..measure import proc
+from ..measure import proc, system_files
 from ..supervise import liveness
 
 # How a writer's identifier begins, in hexadecimal: vendor and host, then the process, the participant.
@@ -124,7 +124,7 @@ def is_same_host(gid: str, other: str) -> bool:
 
 def has_fast_dds(pid: int) -> bool:
     """Whether the process has loaded Fast DDS, as far as this user may see that."""
-    return bool(_LIBRARY.search(proc.read_file("/proc/%d/maps" % pid)))
+    return bool(_LIBRARY.search(system_files.read_file("/proc/%d/maps" % pid)))
 
 
 def _is_here(gid: str, seen: Document) -> bool:
@@ -133,7 +133,7 @@ def _is_here(gid: str, seen: Document) -> bool:
 
 def _may_take_part(pid: int) -> bool:
     """Whether the process has loaded Fast DDS, or hides from this user what it has."""
-    loaded = proc.read_file("/proc/%d/maps" % pid)
+    loaded = system_files.read_file("/proc/%d/maps" % pid)
     return not loaded or bool(_LIBRARY.search(loaded))
 
 
@@ -141,7 +141,7 @@ def _list_inner_pids(table: "dict[int, proc.Process]") -> "list[int]":
     """List the process ids that processes of containers have within them."""
     found = []
     for pid in table:
-        for line in proc.read_file("/proc/%d/status" % pid).splitlines():
+        for line in system_files.read_file("/proc/%d/status" % pid).splitlines():
             if line.startswith(b"NSpid:"):
                 words = line.split()
                 found += [int(words[-1])] if len(words) > 2 else []

@@ -7,7 +7,7 @@ one that comes late never takes away what a newer node of that name has register
 
 import time
 
-from ..measure import proc
+from ..measure import proc, system_files
 from . import local, xmlrpc
 from .xmlrpc import CallError, NobodyListensError
 
@@ -73,7 +73,7 @@ def list_listening_ports(pids: "Iterable[int]") -> "set[int]":
     inodes = {inode for pid in pids for inode in proc.list_socket_inodes(pid)}
     found = set()
     for table in ("/proc/net/tcp", "/proc/net/tcp6"):
-        for line in proc.read_file(table).decode("ascii", "replace").splitlines()[1:]:
+        for line in system_files.read_file(table).decode("ascii", "replace").splitlines()[1:]:
             words = line.split()
             if len(words) > 9 and words[3] == _LISTEN and int(words[9]) in inodes:
                 found.add(int(words[1].rpartition(":")[2], 16))

@@ -12,29 +12,11 @@ sends the names that its inventory no longer has (ADR 0058).
 
 import os
 
-from ..link import protocol
 from ..link.boot import check_private_dir, make_private_dir
 from ..link.errors import RefusalError
 from ..link.fast_json import Document
-from . import records, state_dir
-
-
-def list_unowned_tasks(host: str) -> "list[str]":
-    """List the tasks of ``host`` in the layout without fleets that no fleet has adopted."""
-    return sorted({os.path.basename(folder) for folder in _list_unowned_dirs(host)})
-
-
-def _list_unowned_dirs(host: str) -> "list[str]":
-    found = []
-    for base in state_dir.list_own_bases():
-        tasks = state_dir.list_legacy_levels(base, host)[-1]
-        names = os.listdir(tasks) if os.path.isdir(tasks) else []
-        found += [os.path.join(tasks, name) for name in names if protocol.is_name(name)]
-    return [
-        folder
-        for folder in found
-        if records.read_record(os.path.join(folder, "instance")) and not state_dir.read_owner(folder)
-    ]
+from . import records, state_dir, task_dirs
+from .unowned import list_unowned_dirs
 
 
 def adopt_tasks(request: Document) -> Document:
@@ -46,7 +28,7 @@ def adopt_tasks(request: Document) -> Document:
     if request.get("former") is not None:
         _record_former_names(host, [state_dir.check_name(name) for name in request["former"]])
     adopted = []
-    for folder in _list_unowned_dirs(host):
+    for folder in list_unowned_dirs(host):
         if os.path.basename(folder) in names:
             check_private_dir(folder)
             _leave_mark(host)
@@ -64,7 +46,7 @@ def _record_former_names(host: str, names: "list[str]") -> None:
             if not written:
                 for level in levels:
                     make_private_dir(level)
-                state_dir.reserve_file(path, records.RECORD_BYTES)
+                task_dirs.reserve_file(path, records.RECORD_BYTES)
                 records.write_record(path, {"names": names}, durable=True)
                 written = True
             elif os.path.lexists(path):
@@ -83,7 +65,7 @@ def _leave_mark(host: str) -> None:
         try:
             for level in levels:
                 make_private_dir(level)
-            state_dir.reserve_file(os.path.join(levels[-1], state_dir.ADOPTION_FILE_NAME), 0)
+            task_dirs.reserve_file(os.path.join(levels[-1], state_dir.ADOPTION_FILE_NAME), 0)
         except OSError:
             continue
         return

@@ -4,6 +4,7 @@
 import os
 
 from ..link import protocol
+from ..link.boot import is_dir
 from ..link.fast_json import Document
 from . import records, state_dir
 
@@ -17,7 +18,7 @@ def read_grants(holder: str) -> Document:
     By it, a manager sees that others have acted, and where.
     """
     folders = [levels[-1] for levels in list_fleet_dirs()]
-    found = [records.read_record(os.path.join(folder, protocol.LEASE_FILE)) for folder in folders]
+    found = [records.read_record("%s/%s" % (folder, protocol.LEASE_FILE)) for folder in folders]
     newest = max(found, key=lambda each: each.get("epoch", 0), default={})
     listings = [records.read_record(path) for path in list_listings(folders)]
     grants = {
@@ -37,9 +38,9 @@ def merge_listings(listings: "list[Document]", holder: object) -> Document:
 def list_listings(folders: "list[str]") -> "list[str]":
     """List the files of the managers that were granted the fleet."""
     return [
-        os.path.join(folder, name)
+        folder + "/" + name
         for folder in folders
-        for name in (os.listdir(folder) if os.path.isdir(folder) else ())
+        for name in (os.listdir(folder) if is_dir(folder) else ())
         if name.startswith(LISTINGS)
     ]
 

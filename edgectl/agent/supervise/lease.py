@@ -14,8 +14,8 @@ from ..link import protocol
 from ..link.boot import check_private_dir, make_private_dir
 from ..link.errors import RefusalError
 from ..link.fast_json import Document
-from ..measure import proc
-from . import grants, lease_rules, records, state_dir
+from ..measure import proc, system_files
+from . import grants, lease_rules, records, task_dirs
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def _answer_claim(base: str, claim: Document, *, write: bool = False) -> "tuple[
         _read_newest(_RECORD),
         _read_newest(_NOTE),
         proc.read_uptime_s(),
-        proc.read_boot_id(),
+        system_files.read_boot_id(),
     )
     refusal = lease_rules.find_refusal(record, note, claim, now, boot)
     if refusal is not None:
@@ -136,7 +136,7 @@ def _renew_and_perform(base: str, request: Document, operation: "Callable[[Docum
 
 def _renew_lease(base: str, signature: "Document | None") -> None:
     record, now = _read_newest(_RECORD), proc.read_uptime_s()
-    fault = lease_rules.find_fault(record, signature, now, proc.read_boot_id())
+    fault = lease_rules.find_fault(record, signature, now, system_files.read_boot_id())
     if fault:
         raise RefusalError("not-holder", fault + ": nothing was done", "apply again")
     if signature is not None:
@@ -229,9 +229,9 @@ def _make_lease_dir() -> str:
             for level in levels:
                 make_private_dir(level)
             for name in (_RECORD, _NOTE):
-                state_dir.reserve_file(os.path.join(levels[-1], name), records.RECORD_BYTES)
-            state_dir.reserve_file(os.path.join(levels[-1], _STARTS), 0)
-            state_dir.reserve_file(os.path.join(levels[-1], _LOCK), 0)
+                task_dirs.reserve_file(os.path.join(levels[-1], name), records.RECORD_BYTES)
+            task_dirs.reserve_file(os.path.join(levels[-1], _STARTS), 0)
+            task_dirs.reserve_file(os.path.join(levels[-1], _LOCK), 0)
         except OSError:
             continue
         return levels[-1]

@@ -11,7 +11,7 @@ import time
 
 from ..link import protocol
 from ..link.fast_json import Document
-from ..measure import proc
+from ..measure import proc, system_files
 from . import lockfile, node_record, records, role, state_dir
 
 _LAST_TRIES, _LAST_TRY_S = 25, 0.02
@@ -36,7 +36,7 @@ def build_cookie(folder: str) -> str:
 
 def has_cookie(pid: int) -> bool:
     """Whether the process belongs to any task of edgectl, including another host's on this machine."""
-    return b"\0EDGECTL_TASK_DIR=" in b"\0" + proc.read_file("/proc/%d/environ" % pid)
+    return b"\0EDGECTL_TASK_DIR=" in b"\0" + system_files.read_file("/proc/%d/environ" % pid)
 
 
 def read_instance(folder: str) -> InstanceRecord:
@@ -75,7 +75,7 @@ def find_supervisor(found: InstanceRecord) -> int:
 
 def is_same_boot(found: InstanceRecord) -> bool:
     """Whether the task was started since the last boot of the host."""
-    return found.instance.get("boot_id") == proc.read_boot_id()
+    return found.instance.get("boot_id") == system_files.read_boot_id()
 
 
 def find_processes(found: InstanceRecord, table: "dict[int, proc.Process]") -> "set[int]":
@@ -235,7 +235,7 @@ def _correct_state(found: InstanceRecord, stated: Document) -> Document:
 def is_adoptable(record: InstanceRecord) -> bool:
     """Whether a new supervisor can take the task over: not in a scope, whose limits it would leave."""
     pids = find_orphans(record, proc.read_process_table())
-    return not any(b"/edgectl-" in proc.read_file("/proc/%d/cgroup" % pid) for pid in pids)
+    return not any(b"/edgectl-" in system_files.read_file("/proc/%d/cgroup" % pid) for pid in pids)
 
 
 def _is_marked_ready(found: InstanceRecord) -> bool:

@@ -4,7 +4,7 @@
 import os
 import time
 
-from ..measure import proc
+from ..measure import proc, system_files
 from . import records
 
 # A test of the lock (is_lock_held) takes some microseconds; a holder beyond these tries is a supervisor.
@@ -71,7 +71,7 @@ def _has_lock_open(pid: int, wanted: os.stat_result) -> bool:
         for name in os.listdir(folder):
             info = os.stat(folder + name)
             same = (info.st_dev, info.st_ino) == (wanted.st_dev, wanted.st_ino)
-            if same and b"WRITE" in proc.read_file("/proc/%d/fdinfo/%s" % (pid, name)):
+            if same and b"WRITE" in system_files.read_file("/proc/%d/fdinfo/%s" % (pid, name)):
                 return True
     except OSError:
         pass

@@ -9,7 +9,7 @@ become one, so that the times of old bytes are known less exactly than those of 
 import os
 import time
 
-from ..measure import proc
+from ..measure import system_files
 from . import records
 
 TYPE_CHECKING = False
@@ -64,7 +64,7 @@ class Span:
 
 def read_boot() -> str:
     """Read the beginning of the id of this boot."""
-    return proc.read_boot_id()[:8]
+    return system_files.read_boot_id()[:8]
 
 
 def decode_spans(data: bytes) -> "list[Span]":

@@ -6,12 +6,13 @@ host name, and of other fleets. They are listed and never touched.
 import os
 
 from ..link import protocol
+from ..link.boot import is_own_dir
 from ..link.fast_json import Document
-from ..measure import proc
 from . import state_dir
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from ..measure import proc
     from .liveness import InstanceRecord
 
 # Room in a reply; those of this fleet come first.
@@ -25,6 +26,7 @@ def list_other_tasks(host: str, table: "dict[int, proc.Process] | None" = None) 
     folders = _list_task_dirs()
     if not folders:
         return []
+    from ..measure import proc
     from . import liveness
 
     own, names, found = state_dir.get_fleet(), state_dir.list_host_names(host), []
@@ -74,25 +76,29 @@ def _list_task_dirs() -> "list[tuple[str, str, str]]":
     """List (fleet, host, directory) of every task on this machine."""
     found = []
     for base in state_dir.list_own_bases():
-        root = os.path.join(base, state_dir.ROOT_NAME)
+        root = base + "/" + state_dir.ROOT_NAME
         for fleet in _list_names(root):
-            hosts = os.path.join(root, fleet, "hosts")
+            hosts = "%s/%s/hosts" % (root, fleet)
             found += [(fleet, host, folder) for host, folder in _list_tasks_of_hosts(hosts)]
-        for host, folder in _list_tasks_of_hosts(os.path.join(base, "hosts")):
+        for host, folder in _list_tasks_of_hosts(base + "/hosts"):
             found.append((state_dir.read_owner(folder), host, folder))
     return found
 
 
 def _list_tasks_of_hosts(hosts: str) -> "list[tuple[str, str]]":
     return [
-        (host, os.path.join(hosts, host, "tasks", task))
+        (host, "%s/%s/tasks/%s" % (hosts, host, task))
         for host in _list_names(hosts)
-        for task in _list_names(os.path.join(hosts, host, "tasks"))
+        for task in _list_names("%s/%s/tasks" % (hosts, host))
     ]
 
 
 def _list_names(folder: str) -> "list[str]":
     """List the names in a directory of this user; none where it is missing or a link."""
-    if os.path.islink(folder) or not os.path.isdir(folder):
+    try:
+        # Without the slash at its end, which would follow a link.
+        if not os.access(folder, os.F_OK) or not is_own_dir(os.lstat(folder)):
+            return []
+    except OSError:
         return []
     return [name for name in os.listdir(folder) if protocol.is_name(name)]

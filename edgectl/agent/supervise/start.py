@@ -9,8 +9,8 @@ import time
 from ..link import heartbeat, protocol
 from ..link.errors import RefusalError
 from ..link.fast_json import Document
-from ..measure import proc
-from . import liveness, lockfile, logind, records, role, scope, state_dir, status
+from ..measure import system_files
+from . import liveness, lockfile, logind, records, role, scope, state_dir, status, task_dirs
 from .liveness import InstanceRecord
 
 # A start on a busy host may take seconds.
@@ -36,14 +36,14 @@ def start_task(request: Document) -> Document:
     record, alive = status.find_current(host, task)
     if record is not None and (alive or _has_completed(record, request["instance"])):
         return _build_running_reply(record)
-    folder = state_dir.make_task_dir(host, task)
+    folder = task_dirs.make_task_dir(host, task)
     lock = lockfile.take_lock(folder)
     if lock < 0:
         return _build_running_reply(_wait_for_record(folder))
     try:
         status.check_generation(host, task, int(request["generation"]))
         if not request.get("keep_state"):
-            state_dir.drop_spools(host, task)
+            task_dirs.drop_spools(host, task)
         return _launch_task(folder, lock, request, task_scope)
     finally:
         os.close(lock)
@@ -105,7 +105,7 @@ def _launch_task(folder: str, lock: int, request: Document, task_scope: scope.Sc
     records.write_record(os.path.join(folder, "mark"), {})
     if spec.get("image"):
         for name in ("container", "container-removed"):
-            state_dir.reserve_file(os.path.join(folder, name), records.RECORD_BYTES)
+            task_dirs.reserve_file(os.path.join(folder, name), records.RECORD_BYTES)
     role.begin_role(
         folder, spec, str(request["instance"]), str(request.get("role")), generation["generation"]
     )
@@ -144,8 +144,8 @@ def _build_identity(request: Document, spec: Document) -> Document:
         "fields": _trim_fields(spec.get("fields")),
         "file": str(spec.get("file", ""))[:_MAX_FILE],
         "needed": str(spec.get("needed") or "")[:_MAX_NEEDED],
-        "boot_id": proc.read_boot_id(),
-        "machine_id": proc.read_machine_id(),
+        "boot_id": system_files.read_boot_id(),
+        "machine_id": system_files.read_machine_id(),
     }
 
 

@@ -14,7 +14,7 @@ from ..link import protocol
 from ..link.errors import RefusalError
 from ..link.fast_json import Document
 from ..ros.local import fill_request, list_setup_files
-from . import shell, state_dir, state_spool, status
+from . import shell, state_dir, state_spool, status, task_dirs
 from .liveness import InstanceRecord
 
 TYPE_CHECKING = False
@@ -143,7 +143,7 @@ def save_state(request: Document) -> Document:
         _check_exit(request, command, command.finish(began + float(request["timeout_s"]), take), "save")
         _check_size(request, size)
     except (OSError, RefusalError):
-        state_dir.drop_spools(request["host"], request["task"])
+        task_dirs.drop_spools(request["host"], request["task"])
         raise
     finally:
         os.close(fd)

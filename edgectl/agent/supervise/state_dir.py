@@ -10,12 +10,11 @@ The first release kept tasks in BASE/hosts/HOST/tasks/TASK, without a fleet. Tho
 """
 
 import os
-import stat
 
 from ..link import protocol
-from ..link.boot import check_private_dir, make_private_dir
+from ..link.boot import check_private_dir, is_dir, is_own_dir
 from ..link.errors import RefusalError
-from .records import RECORD_BYTES, open_private_file, read_record
+from .records import read_record
 
 BASES: "list[str]" = []
 ROOT_NAME, OWNER_FILE_NAME, ADOPTION_FILE_NAME = "agent-state", "fleet", "adopted"
@@ -49,13 +48,19 @@ def list_fleet_levels(base: str) -> "list[str]":
     return [base, root, root + "/" + get_fleet()]
 
 
+def find_host_dir(base: str, host: str) -> str:
+    """Find the directory of ``host`` below ``base``, existing or not."""
+    return "%s/%s/%s/hosts/%s" % (base, ROOT_NAME, get_fleet(), check_name(host))
+
+
 def _list_host_levels(base: str, host: str) -> "list[str]":
     levels = list_fleet_levels(base)
     hosts = levels[-1] + "/hosts"
     return [*levels, hosts, hosts + "/" + check_name(host)]
 
 
-def _list_levels(base: str, host: str, task: str) -> "list[str]":
+def list_levels(base: str, host: str, task: str) -> "list[str]":
+    """List the directories from ``base`` down to that of ``task``, existing or not."""
     levels = _list_host_levels(base, host)
     tasks = levels[-1] + "/tasks"
     return [*levels, tasks, tasks + "/" + check_name(task)]
@@ -72,10 +77,10 @@ def list_host_names(host: str) -> "list[str]":
 
     Shared memory counts first: it has a record only where the usual directory could not be written.
     """
-    for levels in reversed(list_host_dirs(host)):
-        path = os.path.join(levels[-1], FORMER_NAMES_FILE_NAME)
+    for base in reversed(BASES):
+        path = "%s/%s" % (find_host_dir(base, host), FORMER_NAMES_FILE_NAME)
         # The cheapest question comes first: few hosts have such a file.
-        if os.access(path, os.F_OK) and not is_foreign_base(levels[0]):
+        if os.access(path, os.F_OK) and not is_foreign_base(base):
             names = read_record(path).get("names", [])
             if names:
                 return [host, *(name for name in names if protocol.is_name(name) and name != host)]
@@ -84,14 +89,13 @@ def list_host_names(host: str) -> "list[str]":
 
 def list_adopted_dirs(host: str) -> "list[str]":
     """List the directories in the layout without fleets whose tasks this fleet has adopted."""
-    if not any(
-        os.access(os.path.join(levels[-1], ADOPTION_FILE_NAME), os.F_OK) for levels in list_host_dirs(host)
-    ):
+    marks = ["%s/%s" % (find_host_dir(base, host), ADOPTION_FILE_NAME) for base in BASES]
+    if not any(os.access(mark, os.F_OK) for mark in marks):
         return []
     found = []
     for base in list_own_bases():
         tasks = list_legacy_levels(base, host)[-1]
-        names = sorted(os.listdir(tasks)) if os.path.isdir(tasks) else []
+        names = sorted(os.listdir(tasks)) if is_dir(tasks) else []
         found += [
             os.path.join(tasks, name)
             for name in names
@@ -119,19 +123,20 @@ def is_foreign_base(base: str) -> bool:
         info = os.lstat(base)
     except OSError:
         return False
-    return not stat.S_ISDIR(info.st_mode) or info.st_uid != os.geteuid()
+    return not is_own_dir(info)
 
 
 def find_task_dirs(host: str, task: str) -> "list[str]":
     """Find the existing directories of ``task``, best first; those of former names of the host last."""
-    return [folder for name in list_host_names(host) for folder in _find_task_dirs_of_name(name, task)]
+    return [folder for name in list_host_names(host) for folder in find_task_dirs_of_name(name, task)]
 
 
-def _find_task_dirs_of_name(host: str, task: str) -> "list[str]":
+def find_task_dirs_of_name(host: str, task: str) -> "list[str]":
+    """Find the existing directories of ``task`` under this name of the host, best first."""
     found = []
     for base in list_own_bases():
-        levels = _list_levels(base, host, task)
-        if os.path.isdir(levels[-1]):
+        levels = list_levels(base, host, task)
+        if is_dir(levels[-1]):
             for level in levels:
                 check_private_dir(level)
             found.append(levels[-1])
@@ -148,82 +153,12 @@ def list_task_names(host: str) -> "list[str]":
     names: "set[str]" = set()
     for known in list_host_names(host):
         names.update(os.path.basename(folder) for folder in list_adopted_dirs(known))
-        for folder in _list_tasks_dirs(known):
+        for folder in list_tasks_dirs(known):
             names.update(name for name in os.listdir(folder) if protocol.is_name(name))
     return sorted(names)
 
 
-def find_task_dirs_with(host: str, file_name: str) -> "list[str]":
-    """Find the directories of tasks of this host, under any of its names, that have a file of this name."""
-    return [
-        folder
-        for known in list_host_names(host)
-        for tasks in _list_tasks_dirs(known)
-        for task in sorted(os.listdir(tasks))
-        if protocol.is_name(task) and os.path.exists("%s/%s/%s" % (tasks, task, file_name))
-        for folder in _find_task_dirs_of_name(known, task)
-        if os.path.dirname(folder) == tasks
-    ]
-
-
-def _list_tasks_dirs(host: str) -> "list[str]":
+def list_tasks_dirs(host: str) -> "list[str]":
     """List the existing directories that have one directory for each task of ``host``."""
-    found = [(base, os.path.join(_list_host_levels(base, host)[-1], "tasks")) for base in BASES]
-    return [folder for base, folder in found if os.path.isdir(folder) and not is_foreign_base(base)]
-
-
-def make_task_dir(host: str, task: str) -> str:
-    """Create the directory of ``task`` in the first base that accepts it and its fixed-size files.
-
-    Raises:
-        RefusalError: no base can be written.
-    """
-    reasons = []
-    for base in BASES:
-        levels = _list_levels(base, host, task)
-        try:
-            for level in levels:
-                make_private_dir(level)
-            for name, size in (
-                ("lock", 0),
-                ("instance", RECORD_BYTES),
-                ("status", RECORD_BYTES),
-                ("mark", RECORD_BYTES),
-                ("generation", RECORD_BYTES),
-                ("role", RECORD_BYTES),
-                ("switch", 0),
-            ):
-                reserve_file(os.path.join(levels[-1], name), size)
-            return levels[-1]
-        except OSError as error:
-            reasons.append("%s: %s" % (base, error.strerror or error))
-    raise RefusalError(
-        "no-state-dir",
-        "no place to keep the task's state: " + "; ".join(reasons),
-        "free some disk space or set EDGECTL_STATE_DIR",
-    )
-
-
-def reserve_file(path: str, size: int) -> None:
-    """Create ``path`` with ``size`` bytes allocated, so that a disk that fills up later cannot stop a
-    rewrite.
-    """
-    fd = open_private_file(path, os.O_RDWR | os.O_CREAT)
-    try:
-        have = os.fstat(fd).st_size
-        if have < size:
-            os.pwrite(fd, b" " * (size - have), have)
-    finally:
-        os.close(fd)
-
-
-def drop_spools(host: str, task: str) -> bool:
-    """Remove what is left here of the state of ``task``; False where there was nothing."""
-    dropped = False
-    for folder in find_task_dirs(host, task):
-        try:
-            os.unlink(os.path.join(folder, SPOOL_FILE_NAME))
-            dropped = True
-        except FileNotFoundError:
-            continue
-    return dropped
+    found = [(base, find_host_dir(base, host) + "/tasks") for base in BASES]
+    return [folder for base, folder in found if is_dir(folder) and not is_foreign_base(base)]

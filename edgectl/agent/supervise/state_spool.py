@@ -12,7 +12,7 @@ import zlib
 from ..link import protocol
 from ..link.errors import RefusalError
 from ..link.fast_json import Document
-from . import records, state_dir, status
+from . import records, state_dir, status, task_dirs
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -81,14 +81,14 @@ def write_state(request: Document) -> Document:
     host, task = state_dir.check_name(request["host"]), state_dir.check_name(request["task"])
     status.check_generation(host, task, int(request["generation"]))
     total = int(request.get("total") or 0)
-    fd = open_new_spool(state_dir.make_task_dir(host, task)) if total else open_spool(host, task, os.O_RDWR)
+    fd = open_new_spool(task_dirs.make_task_dir(host, task)) if total else open_spool(host, task, os.O_RDWR)
     try:
         if total:
             os.posix_fallocate(fd, 0, total)
         else:
             _write_piece(fd, request)
     except OSError:
-        state_dir.drop_spools(host, task)
+        task_dirs.drop_spools(host, task)
         raise
     finally:
         os.close(fd)
@@ -116,4 +116,4 @@ def drop_state(request: Document) -> Document:
     """Operation ``drop-state``: remove the spool; nothing happens where there is none."""
     host, task = state_dir.check_name(request["host"]), state_dir.check_name(request["task"])
     status.check_generation(host, task, int(request["generation"]))
-    return {"state": "dropped" if state_dir.drop_spools(host, task) else "none"}
+    return {"state": "dropped" if task_dirs.drop_spools(host, task) else "none"}

@@ -7,7 +7,7 @@ import time
 from ..link import protocol
 from ..link.errors import RefusalError
 from ..link.fast_json import Document
-from ..measure import proc
+from ..measure import proc, system_files
 from . import liveness, records, state_dir
 from .liveness import InstanceRecord
 
@@ -61,7 +61,7 @@ def report_status(request: Document) -> Document:
         "v": protocol.VERSION,
         "op": protocol.OP_STATUS,
         "host": request["host"],
-        "boot_id": proc.read_boot_id(),
+        "boot_id": system_files.read_boot_id(),
         "tasks": list_entries(request["host"], request.get("task")),
     }
 

@@ -9,7 +9,7 @@ import time
 from ..link import protocol
 from ..link.fast_json import Document
 from ..measure import proc
-from . import liveness, lockfile, nodes, records, signals, state_dir, status
+from . import liveness, lockfile, nodes, records, signals, state_dir, status, task_dirs
 from .liveness import InstanceRecord
 
 TYPE_CHECKING = False
@@ -34,7 +34,7 @@ def stop_task(request: Document) -> Document:
     if request.get("generation") is not None:
         status.check_generation(host, task, int(request["generation"]))
     if not request.get("keep_state"):
-        state_dir.drop_spools(host, task)
+        task_dirs.drop_spools(host, task)
     alive = [record for record in liveness.read_instances(host, task) if liveness.is_alive(record)]
     wanted = [
         record for record in alive if request.get("instance") in (None, record.instance.get("instance"))
