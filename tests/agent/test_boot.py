@@ -353,6 +353,21 @@ def test_modules_of_the_agent_need_each_other_in_no_circle() -> None:
     assert set(order) == set(needs), "each of them is a module"
 
 
+def test_a_python_that_loads_no_libraries_serves_requests(host: AgentHost) -> None:
+    """One that is linked statically has no suffix of libraries, and finds all of them built in."""
+    run, begin = host.session.run, "import sys,_signal;"
+
+    def run_static(command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
+        assert command.count(begin) == 1
+        static = command.replace(begin, f"{begin}import _imp;_imp.extension_suffixes=list;")
+        return run(static, stdin, timeout=timeout, limit=limit)
+
+    host.session.run = run_static  # type: ignore[method-assign]
+    for _ in range(2):
+        assert host.ask("status", task=None)["tasks"] == {}
+        assert host.ask("probe", window_s=0.05)["host"] == "edge1"
+
+
 def test_no_user_code_runs_on_the_host(
     host: AgentHost, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,7 +13,7 @@ import _signal as signal
 import gc
 import marshal
 import sys
-from _imp import create_dynamic, exec_dynamic, extension_suffixes
+from _imp import extension_suffixes
 
 if __name__ == "__main__":
     # A request leaves no garbage worth the search, which takes 0.2 ms; a supervisor is searched now and then.
@@ -223,8 +223,12 @@ def read_file(path: str) -> "Tuple[bytes, Fingerprint]":
 
 def find_library(name: str) -> str:
     """Find the file of one of Python's own libraries in C; empty where it is built in, or none."""
-    path = "%s/%s%s" % (sys.path[-1], name, extension_suffixes()[0])
-    return path if os.access(path, os.F_OK) else ""
+    # A Python that is linked statically has no suffix, and none of the functions below.
+    for suffix in extension_suffixes()[:1]:
+        path = "%s/%s%s" % (sys.path[-1], name, suffix)
+        if os.access(path, os.F_OK):
+            return path
+    return ""
 
 
 def load_library(name: str) -> None:
@@ -232,6 +236,8 @@ def load_library(name: str) -> None:
     path = find_library(name)
     # Where it is gone, the module that imports it knows what to do.
     if path:
+        from _imp import create_dynamic, exec_dynamic
+
         module = create_dynamic(ModuleSpec(name, None, origin=path))
         exec_dynamic(module)
         sys.modules[name] = module
