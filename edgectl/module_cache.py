@@ -3,7 +3,8 @@
 
 Python finds, opens and checks a file for each of 450 modules: a tenth of the CPU of a command, and much of
 its time on a disk whose files are not in memory yet. A module is taken from here as long as its source has
-the time and the size that it had, which is what Python asks of its own files of code.
+the times and the size that it had. Python asks less of its own files of code, but an upgrade removes those
+with their sources, and not this one.
 """
 
 import contextlib
@@ -15,8 +16,9 @@ from importlib.machinery import ModuleSpec, SourceFileLoader
 from importlib.util import MAGIC_NUMBER, cache_from_source
 from types import CodeType, ModuleType
 
-# Path of a source, whether it is that of a package, and the time (ns) and size (bytes) that it had.
-Source = tuple[str, bool, int, int]
+# Path of a source, whether it is that of a package, its size (bytes), and when it was written and its inode
+# changed (ns since the epoch): an archive can state the first of these times, nobody the second.
+Source = tuple[str, bool, int, int, int]
 # A module of the file: its source, and where its code begins and ends after the index (bytes).
 Entry = tuple[Source, int, int]
 # Directory of modules -> when a name was added to it or removed (ns since the epoch); 0: there is none.
@@ -56,7 +58,7 @@ class ModuleCache:
                 return None
             path = sys.path
         source, _, _ = self._entries[name]
-        place, is_package, _, _ = source
+        place, is_package, *_ = source
         folder = os.path.dirname(place)
         if (os.path.dirname(folder) if is_package else folder) not in path or _read_source(place) != source:
             return None
@@ -181,7 +183,7 @@ def _read_source(place: str) -> Source | None:
         info = os.stat(place)
     except OSError:
         return None
-    return place, place.endswith(_PACKAGE_FILE), info.st_mtime_ns, info.st_size
+    return place, place.endswith(_PACKAGE_FILE), info.st_size, info.st_mtime_ns, info.st_ctime_ns
 
 
 def _read_time(folder: str) -> int:

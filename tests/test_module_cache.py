@@ -88,6 +88,16 @@ def test_a_source_of_the_same_time_and_another_size_is_imported(project: Project
     assert project.run("single") == "10"
 
 
+def test_another_source_of_the_same_time_and_size_is_imported(project: Project) -> None:
+    """An upgrade removes Python's files of code with its sources, and archives may state one time for all files."""
+    place = project.second / "package" / "inner.py"
+    place.write_text("VALUE = 9\n")
+    os.utime(place, ns=(0, 3 * 10**9))
+    for code in place.parent.glob("__pycache__/inner.*"):
+        code.unlink()
+    assert project.run() == "1* 2* 9"
+
+
 def test_a_removed_source_is_not_imported(project: Project) -> None:
     (project.second / "package" / "inner.py").unlink()
     with pytest.raises(AssertionError, match=r"No module named 'package\.inner'"):
