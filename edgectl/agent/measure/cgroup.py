@@ -7,7 +7,7 @@ behind it.
 
 import os
 
-from . import system_files
+from .system_files import read_text
 
 _NO_LIMIT = 1 << 60
 
@@ -21,11 +21,6 @@ class CgroupLimit:
 
     def __init__(self, value: float, folder: str, version: int) -> None:
         self.value, self.folder, self.version = value, folder, version
-
-
-def read_text(path: str) -> str:
-    """Read a file; empty where there is none."""
-    return system_files.read_file(path).decode("ascii", "replace").strip()
 
 
 def list_groups(root: str, controller: str, process: str = "self") -> "list[tuple[str, int]]":

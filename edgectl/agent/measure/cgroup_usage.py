@@ -3,7 +3,8 @@
 
 import os
 
-from .cgroup import CgroupLimit, list_groups, read_text
+from .cgroup import CgroupLimit, list_groups
+from .system_files import read_text
 
 
 def _read_numbers(path: str) -> "dict[str, int]":

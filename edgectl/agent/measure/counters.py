@@ -242,8 +242,8 @@ def read_frame_sizes(
 
 def _read_frame_size(interface: str) -> "tuple[int, int]":
     folder = "/sys/class/net/%s/" % interface
-    mtu = system_files.read_file(folder + "mtu").decode("ascii", "replace").strip()
-    kind = system_files.read_file(folder + "type").decode("ascii", "replace").strip()
+    mtu = system_files.read_text(folder + "mtu")
+    kind = system_files.read_text(folder + "type")
     head = _ETHERNET_BYTES if kind in _WITH_ETHERNET or not kind else 0
     return (int(mtu) if mtu.isdigit() and int(mtu) >= 68 else 1500), head
 

@@ -53,5 +53,5 @@ def build_interface_entry(
 
 def read_interface_speed(name: str) -> "int | None":
     """Read bytes/s; None where the driver does not know (Wi-Fi, lo): /sys has Mbit/s, -1 or nothing."""
-    text = system_files.read_file("/sys/class/net/%s/speed" % name).decode("ascii", "replace").strip()
+    text = system_files.read_text("/sys/class/net/%s/speed" % name)
     return int(text) * 125000 if text.isdigit() and int(text) > 0 else None
