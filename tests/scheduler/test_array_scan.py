@@ -1,11 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The scan in NumPy against the one in Python: the same decisions and rankings, bit by bit."""
 
-import sys
-from collections import Counter
-from collections.abc import Callable
 from random import Random
-from types import FrameType
 
 import pytest
 from hypothesis import given, settings
@@ -25,6 +21,7 @@ from tests.builders import (
     an_inventory,
     some_tasks,
 )
+from tests.call_count import count_calls
 from tests.scheduler.fleets import NO_MEMORY
 from tests.scheduler.test_properties import Case, cases
 from tests.scheduler.test_scan import a_view
@@ -64,23 +61,6 @@ def test_both_scans_decide_the_same_on_the_fleet_of_the_benchmark(measured: bool
     assert found == plain
     # make bench checks those of 1,000 x 10,000.
     assert [digest_decisions(each) for each in (plain, found)] == [DIGESTS[40, 120, measured]] * 2
-
-
-def count_calls(run: Callable[[], object]) -> Counter[str]:
-    """How often each function is called, by name."""
-    found: Counter[str] = Counter()
-
-    def note(frame: FrameType, event: str, _: object) -> None:
-        if event == "call":
-            found[frame.f_code.co_name] += 1
-
-    before = sys.getprofile()
-    sys.setprofile(note)
-    try:
-        run()
-    finally:
-        sys.setprofile(before)
-    return found
 
 
 @pytest.mark.parametrize("measured", [False, True])

@@ -4,10 +4,7 @@
 import hashlib
 import os
 import socket
-import sys
-from collections import Counter
 from collections.abc import Callable, Iterator
-from types import FrameType
 from typing import Any
 
 import paramiko
@@ -19,6 +16,7 @@ from paramiko.packet import Packetizer
 # For its effect on the packets of paramiko.
 import edgectl.transport.ssh_client  # noqa: F401
 from edgectl.transport.sockets import TunedSocket
+from tests.call_count import count_calls
 
 KEY, COUNTER = b"k" * 32, b"c" * 16
 # Calls in Python for one packet; by the functions of paramiko 156 (SHA-256) and 11.
@@ -51,23 +49,6 @@ def build_message() -> paramiko.Message:
     message.add_byte(cMSG_IGNORE)
     message.add_string(os.urandom(130))
     return message
-
-
-def count_calls(run: Callable[[], object]) -> Counter[str]:
-    """How often each function in Python is called, by name."""
-    found: Counter[str] = Counter()
-
-    def note(frame: FrameType, event: str, _: object) -> None:
-        if event == "call":
-            found[frame.f_code.co_name] += 1
-
-    before = sys.getprofile()
-    sys.setprofile(note)
-    try:
-        run()
-    finally:
-        sys.setprofile(before)
-    return found
 
 
 def test_packets_arrive_and_take_few_calls(
