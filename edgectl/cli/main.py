@@ -4,6 +4,7 @@
 Nothing is imported here that ``edgectl --help`` does not need.
 """
 
+import atexit
 import contextlib
 import gc
 import itertools
@@ -44,16 +45,27 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def run() -> NoReturn:
-    """Be the program ``edgectl``: ``main``, with modules from one file, and an end that looks for no garbage
-    in what ends anyway.
-    """
+    """Be the program ``edgectl``: ``main``, with modules from one file, and an end without a teardown."""
     _replace_closed_streams()
     modules = install_module_cache()
     code = main()
     with contextlib.suppress(KeyboardInterrupt):
         modules.update()
-    gc.freeze()
+    atexit.register(_end_process, code)
     sys.exit(code)
+
+
+def _end_process(code: int) -> None:
+    """End after all other functions of the end, without Python's teardown, which takes 7 ms (ADR 209)."""
+    atexit.unregister(_end_process)
+    # As multiprocessing ends its processes.
+    atexit._run_exitfuncs()  # noqa: SLF001
+    try:
+        sys.stdout.flush()
+        sys.stderr.flush()
+    except (KeyboardInterrupt, OSError, ValueError):
+        return  # Python tries once more, and has an exit code for it
+    os._exit(code)
 
 
 def _postpone_garbage_collection() -> None:

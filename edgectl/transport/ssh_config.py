@@ -32,7 +32,7 @@ MEANINGFUL_LINE = re.compile(r"(?mi)^[ \t]*(?!#|$|host\s+\*\s*$|sendenv\b|hashkn
 _KEYWORDS = {
     *("hostname", "user", "port", "connecttimeout", "sendenv"),
     *("identityfile", "certificatefile", "identitiesonly", "identityagent"),
-    *("proxyjump", "proxycommand", "hostkeyalias", "revokedhostkeys"),
+    *("proxyjump", "proxycommand", "hostkeyalias", "revokedhostkeys", "kexalgorithms"),
     *("userknownhostsfile", "globalknownhostsfile", "hashknownhosts"),
 }
 DEFAULT_KEYS = ("~/.ssh/id_rsa", "~/.ssh/id_ecdsa", "~/.ssh/id_ed25519")
@@ -45,7 +45,7 @@ class ResolvedHost:
     ``name`` is the inventory's, ``given`` the address or alias written there, ``hostname`` and ``port`` the
     real target. ``identity_agent`` is the agent's socket, or empty for none. ``known_hosts`` are the user's
     files (the first one is added to), ``revoked_keys`` is the file of RevokedHostKeys, or empty. ``send_env``
-    has the patterns of SendEnv.
+    has the patterns of SendEnv, ``key_exchanges`` the names of KexAlgorithms; none where nothing is known.
     """
 
     name: str
@@ -66,6 +66,7 @@ class ResolvedHost:
     hash_known_hosts: bool = False
     connect_timeout: float | None = None
     send_env: tuple[str, ...] = ()
+    key_exchanges: tuple[str, ...] = ()
 
 
 def get_home_dir() -> str:
@@ -175,7 +176,7 @@ class SshConfigResolver:
 
 
 def _compute_digest(ssh: str) -> str | None:
-    return compute_config_digest(ssh, list_config_files(), Path(get_home_dir()))
+    return compute_config_digest(ssh, list_config_files(), Path(get_home_dir()), _KEYWORDS)
 
 
 def _ask_ssh(command: Sequence[str], host: Host, timeout: float) -> dict[str, list[str]]:
@@ -265,6 +266,7 @@ def _merge_host_config(host: Host, values: Mapping[str, list[str]]) -> ResolvedH
         hash_known_hosts=one("hashknownhosts") == "yes",
         connect_timeout=_parse_seconds(one("connecttimeout")),
         send_env=tuple(pattern for line in values.get("sendenv", []) for pattern in line.split()),
+        key_exchanges=tuple(filter(None, one("kexalgorithms").split(","))),
     )
 
 

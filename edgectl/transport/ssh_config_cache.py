@@ -9,7 +9,7 @@ import os
 import re
 import socket
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
 Values = Mapping[str, list[str]]
@@ -23,18 +23,22 @@ _PLAIN_PATTERNS = re.compile(r"(?:(?:~/)?[A-Za-z0-9_./*?+,:@-]+[ \t]*)+")
 _MAX_FILES, _MAX_REPLIES = 100, 4096
 
 
-def compute_config_digest(ssh: str, files: Mapping[Path, Path], home: Path) -> str | None:
+def compute_config_digest(
+    ssh: str, files: Mapping[Path, Path], home: Path, keywords: Collection[str]
+) -> str | None:
     """Digest of all that the replies of ``ssh -G`` depend on besides its arguments.
 
     ``ssh`` is the program, and ``files`` are what it reads, each with the folder of relative names that it
-    includes. None where no digest can say it: of a program that may read other files, and of Match,
-    environment variables, names canonicalized by DNS, and lines that are not surely understood.
+    includes; ``keywords``: those that are kept. None where no digest can say it: of a program that may read
+    other files, and of Match, environment variables, names canonicalized by DNS, and lines that are not
+    surely understood.
     """
     if Path(ssh).resolve().parent != _USUAL_FOLDER:
         return None
     try:
         program = Path(ssh).stat()
         parts = [program.st_ino, program.st_size, program.st_mtime_ns, os.getuid(), socket.gethostname()]
+        parts += sorted(keywords)
         for path, folder in files.items():
             parts += _read_with_includes(path, folder, home)
     except (OSError, ValueError):

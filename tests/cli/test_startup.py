@@ -103,13 +103,33 @@ def test_no_garbage_is_collected_during_a_start_and_it_is_afterwards(site: Path)
     assert done.stderr.split()[-6:] == ["0", "1", "True", "True", "0", "False"]
 
 
-def test_no_garbage_is_looked_for_at_the_end() -> None:
-    source = (
-        "import atexit, gc, sys\n"
-        "from edgectl.cli.main import run\n"
-        "atexit.register(lambda: print(gc.get_freeze_count() > 10_000))\n"
-        "sys.argv = ['edgectl', 'plan', '--no-such-option']\n"
-        "run()\n"
-    )
-    done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (64, "True\n")
+# Says when Python takes its object apart, and what else happens at the end.
+LAST_WORDS = """
+import atexit, os, sys, threading, time, weakref
+from edgectl.cli.main import run
+class Loud:
+    def __del__(self, write=os.write):
+        write(1, b"taken apart")
+sys.kept = Loud()
+weakref.finalize(run, print, "finalized")
+atexit.register(print, "registered")
+threading.Thread(target=lambda: time.sleep(0.3) or print("waited")).start()
+sys.argv = ["edgectl", "plan", "--no-such-option"]
+run()
+"""
+
+
+def test_nothing_is_taken_apart_at_the_end_but_all_that_was_registered_is_called() -> None:
+    done = subprocess.run([sys.executable, "-c", LAST_WORDS], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.split()) == (64, ["waited", "registered", "finalized"])
+    assert "no-such-option" in done.stderr
+    assert "ignored" not in done.stderr
+
+
+def test_last_words_that_cannot_be_written_are_an_error() -> None:
+    with Path("/dev/full").open("w") as full:
+        command = [sys.executable, "-c", LAST_WORDS]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    # Python's own exit code for this.
+    assert done.returncode == 120
+    assert "No space left on device" in done.stderr

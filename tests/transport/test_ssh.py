@@ -22,6 +22,7 @@ from edgectl.transport.agent_client import call_agent
 from edgectl.transport.base import ConversableSession, Reply, RestingExchange, Transport
 from edgectl.transport.fleet_transport import FleetTransport
 from edgectl.transport.sockets import ProxySocket, start_proxy_command
+from edgectl.transport.ssh_client import order_key_exchanges
 from tests.pace import patience
 from tests.relay import RelayFault, run_mute_server, run_relay
 from tests.sshd import Lab, make_key, running_lab
@@ -182,6 +183,41 @@ def test_the_input_does_not_wait_until_the_server_agrees(
     monkeypatch.setitem(paramiko.Transport._channel_handler_table, MSG_CHANNEL_SUCCESS, agree_late)  # type: ignore[attr-defined]
     monkeypatch.setattr(paramiko.Channel, "sendall", note_input)
     assert run_command(transport, lab.host("edge1"), "cat", b"the input").stdout == b"the input"
+
+
+CURVE25519, P256 = "curve25519-sha256@libssh.org", "ecdh-sha2-nistp256"
+
+
+@pytest.mark.parametrize(
+    ("sshd_config", "ssh_config", "agreed"),
+    [
+        ([], [], P256),
+        ([f"KexAlgorithms {CURVE25519}"], [], CURVE25519),
+        ([], [f"KexAlgorithms -{P256}"], CURVE25519),
+        ([f"KexAlgorithms {P256}"], [f"KexAlgorithms -{P256}"], P256),
+    ],
+    ids=["usual", "the host lacks it", "ssh_config lacks it", "the host has nothing else"],
+)
+def test_keys_are_exchanged_as_takes_a_host_least(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    sshd_config: list[str],
+    ssh_config: list[str],
+    agreed: str,
+) -> None:
+    with running_lab(tmp_path / "lab", ["edge1"], extra=["LogLevel DEBUG", *sshd_config]) as one:
+        one.write_files(*ssh_config)
+        monkeypatch.setenv("EDGECTL_SSH_CONFIG", str(one.ssh_config))
+        FleetTransport().connect(one.host("edge1"), timeout=BUSY_S).close()
+        assert f"kex: algorithm: {agreed} " in one["edge1"].log
+
+
+def test_an_exchange_that_resists_quantum_computers_stays_first() -> None:
+    known = ("mlkem768x25519-sha256", CURVE25519, "ecdh-sha2-nistp384", P256, "diffie-hellman-group16-sha512")
+    assert order_key_exchanges(known, ()) == (known[0], P256, CURVE25519, known[2], known[4])
+    assert order_key_exchanges(known, (CURVE25519, P256)) == order_key_exchanges(known, ())
+    for allowed, others in (((CURVE25519,), known), ((), known[2:]), ((), known[:2])):
+        assert order_key_exchanges(others, allowed) == others
 
 
 def test_calls_wait_for_each_other_where_there_is_room_for_one(

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edgectl.model.inventory import Host, Role
+from edgectl.transport import ssh_config
 from edgectl.transport.ssh_config import ResolvedHost, SshConfigResolver
 
 KEPT = "kept-user"
@@ -70,6 +71,17 @@ def test_a_change_makes_all_replies_old(config: Path, tmp_path: Path, what: str)
     assert resolve_host(cache) == resolve_host(None)
     mark_replies(cache)
     assert resolve_host(cache).user == "from-the-file"
+
+
+def test_replies_that_were_kept_without_a_keyword_are_asked_for_anew(
+    config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As an earlier edgectl kept them."""
+    cache = tmp_path / "cache.json"
+    with monkeypatch.context() as patch:
+        patch.setattr(ssh_config, "_KEYWORDS", ssh_config._KEYWORDS - {"kexalgorithms"})
+        assert resolve_host(cache).key_exchanges == ()
+    assert "ecdh-sha2-nistp256" in resolve_host(cache).key_exchanges
 
 
 def test_another_file_has_replies_of_its_own(
@@ -193,6 +205,7 @@ LINES = st.sampled_from(
         *(
             "Match host edge1",
             "SendEnv A B",
+            "KexAlgorithms -ecdh-sha2-nistp256",
             "ProxyCommand nc %h %p",
             "UserKnownHostsFile /a /b",
             "Port nothing",
