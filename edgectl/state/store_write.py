@@ -22,10 +22,8 @@ _LASTING_KINDS = (EventKind.TASK_DEFERRED, EventKind.TASK_UNPLACED)
 _MAX_GONE_TASKS = 1000
 # Snapshots whose samples of links are moved together, once there are so many.
 _SNAPSHOTS_MOVED = 30
-_MOVE_LOADS = (
-    "INSERT OR REPLACE INTO loads SELECT * FROM new_loads WHERE (SELECT count(*) FROM new_loads) >= ?",
-    "DELETE FROM new_loads WHERE (SELECT count(*) FROM new_loads) >= ?",
-)
+_COUNT_NEW_LOADS = "SELECT count(*) FROM new_loads WHERE link = ?"
+_MOVE_LOADS = ("INSERT OR REPLACE INTO loads SELECT * FROM new_loads", "DELETE FROM new_loads")
 
 
 LinkNumbers = dict[tuple[str, str], int]
@@ -61,8 +59,12 @@ def _write_link_samples(connection: sqlite3.Connection, snapshot: Snapshot, numb
             for pair, link in found
         ],
     )
-    for statement in _MOVE_LOADS:
-        connection.execute(statement, (_SNAPSHOTS_MOVED * len(found),))
+    for pair, _ in found[:1]:
+        # One link tells how many snapshots there are; a condition within the statements below would be looked
+        # at for each row: 0.2 ms each.
+        if connection.execute(_COUNT_NEW_LOADS, (numbers[pair],)).fetchone()[0] >= _SNAPSHOTS_MOVED:
+            for statement in _MOVE_LOADS:
+                connection.execute(statement)
 
 
 def load_link_numbers(connection: sqlite3.Connection) -> LinkNumbers:

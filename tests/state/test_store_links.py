@@ -4,7 +4,9 @@
 import sqlite3
 from pathlib import Path
 
-from edgectl.model.snapshot import LinkSample
+import pytest
+
+from edgectl.model.snapshot import LinkSample, Snapshot
 from edgectl.state.store import Retention, Store
 from edgectl.state.store_file import HISTORY_FILE_NAME, open_database
 from edgectl.state.store_write import write_samples
@@ -65,6 +67,23 @@ def test_links_that_are_gone_stay_in_the_history_and_expire(tmp_path: Path) -> N
         assert [point.at - NOW for point in store.link_points()] == [35, 36, 37, 38, 39]
         store.prune(NOW + 1100)
     assert [count_rows(tmp_path, table) for table in ("loads", "new_loads", "links")] == [0, 0, 0]
+
+
+@pytest.mark.parametrize("period", [1, 2, 3, 29, 31, 1000])
+def test_samples_are_moved_whichever_hosts_come_and_go(tmp_path: Path, period: int) -> None:
+    """The first edge is there in every ``period``-th snapshot, or not any more, and another one is always new."""
+    most, links = 0, {"robot1": LinkSample(capacity_bytes_per_s=100.0, used_bytes_per_s=1.0)}
+    with Store.open(tmp_path) as store:
+        for second in range(150):
+            names = ["edge2", "edge3"] if second % period else ["edge1", "edge2", "edge3"]
+            if period == 1:
+                names.append(f"edge{second + 4}")
+            hosts = {name: a_sample(links=links) for name in names}
+            store.record_snapshot(Snapshot(taken_at=NOW + second, hosts=hosts))
+            most = max(most, count_rows(tmp_path, "new_loads"))
+        assert len(store.link_points("edge2")) == 150
+    # Each snapshot has two to four samples; the thirtieth moves them.
+    assert 2 * 29 <= most <= 4 * 60
 
 
 def test_a_snapshot_does_not_write_a_page_for_each_link(tmp_path: Path) -> None:
