@@ -81,6 +81,7 @@ def run_edgectl(folder: Path, env: dict[str, str], words: Sequence[str]) -> dict
     done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     report = json.loads(Path(env["START_REPORT"]).read_text())
+    assert report["code"] == 0, (words, report["code"], done.stderr)
     return {
         "first": report["first"] * 1000,
         "end": report["end"] * 1000,
@@ -92,7 +93,8 @@ def run_edgectl(folder: Path, env: dict[str, str], words: Sequence[str]) -> dict
 def write_fleet(folder: Path, hosts: Sequence[str]) -> None:
     (folder / "inventories").mkdir()
     (folder / "tasks").mkdir()
-    edges = "".join(f"  {name}: {{host: {name}}}\n" for name in hosts)
+    # Slices: all servers are on one machine, of which a plan would refuse two whole hosts.
+    edges = "".join(f"  {name}: {{host: {name}, capacity: {{cpu: 2, memory: 4Gi}}}}\n" for name in hosts)
     (folder / "inventories" / "lab.yaml").write_text(
         f"version: 1\nfleet: start\nedges:\n{edges}robots:\n  robot1: {{host: 127.0.0.1, probe: false}}\n"
     )

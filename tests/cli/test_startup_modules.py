@@ -145,6 +145,7 @@ def test_a_command_imports_and_compiles_no_more_than(
             *fleet, "apply", "-y", "--best-effort"
         )  # the order of the cases is not given; nor is an idle machine
     seen = start(*fleet, *words)
+    assert seen.code == 0
     assert sorted(seen.modules & (NOT_WANTED | foreign)) == []
     assert len(seen.modules) <= most_modules
     assert seen.compiled <= most_compiled
@@ -169,7 +170,7 @@ def test_a_command_asks_each_host_once(
     if words[0] == "logs":
         start(*fleet, "apply", "-y", "--best-effort")
     seen = start(*fleet, *words)
-    assert seen.requests == wanted
+    assert (seen.code, seen.requests) == (0, wanted)
     assert (seen.connections, seen.processes) == ((1, 0) if wanted else (0, 0))
 
 
