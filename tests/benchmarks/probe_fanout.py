@@ -4,7 +4,8 @@ tests.benchmarks.probe_fanout [N ..]``.
 
 Every host is an OpenSSH server with its own key and home on this machine. Both sides check host keys, log in
 with the same key, run the same command line with the same standard input, at most 32 hosts at a time. Imports
-are measured separately; the agent is on the hosts already. Runs of the two sides alternate, and each pair
+are measured separately; the agent is on the hosts already, and what ssh says of its configuration is kept as every
+command keeps it. Runs of the two sides alternate, and each pair
 gives one ratio, so that other load on the machine affects both.
 """
 
@@ -17,6 +18,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 IMPORTS_FROM = time.perf_counter()
@@ -31,6 +33,7 @@ from edgectl.transport.connections import SessionPool  # noqa: E402
 from edgectl.transport.fake import FakeSession, FakeTransport  # noqa: E402
 from edgectl.transport.local import LocalTransport  # noqa: E402
 from edgectl.transport.ssh import SshTransport  # noqa: E402
+from edgectl.transport.ssh_config import SshConfigResolver  # noqa: E402
 from edgectl.transport.ssh_session import SshSession  # noqa: E402
 
 IMPORTS_S = time.perf_counter() - IMPORTS_FROM
@@ -160,11 +163,12 @@ def print_cold_row(lab: Lab, names: Sequence[str], out: Path) -> bool:
     fleet = Inventory(hosts={name: lab.host(name) for name in names})
     stdin = out / "stdin"
     stdin.write_bytes(record_request(fleet))
-    run_edgectl_probe(fleet, SshTransport())  # installs the agent on hosts that lack it
+    resolver = partial(SshConfigResolver, out / "ssh-config.json")
+    run_edgectl_probe(fleet, SshTransport(resolver=resolver()))  # installs the agent on hosts that lack it
     rounds = 7 if size <= 16 else 5 if size <= 64 else 3
     cpu = time.process_time()
     ours, theirs, ratio = measure_pairs(
-        lambda: run_edgectl_probe(fleet, SshTransport()),
+        lambda: run_edgectl_probe(fleet, SshTransport(resolver=resolver())),
         lambda: run_plain_ssh(lab, names, stdin, out),
         rounds,
     )
