@@ -46,6 +46,8 @@ def _write_link_samples(connection: sqlite3.Connection, snapshot: Snapshot, numb
         for edge, sample in snapshot.hosts.items()
         for robot, link in sample.links.items()
     ]
+    if not found:
+        return
     unknown = [pair for pair, _ in found if pair not in numbers]
     if unknown:
         connection.executemany("INSERT OR IGNORE INTO links (edge, robot) VALUES (?, ?)", unknown)
@@ -59,12 +61,12 @@ def _write_link_samples(connection: sqlite3.Connection, snapshot: Snapshot, numb
             for pair, link in found
         ],
     )
-    for pair, _ in found[:1]:
-        # One link tells how many snapshots there are; a condition within the statements below would be looked
-        # at for each row: 0.2 ms each.
-        if connection.execute(_COUNT_NEW_LOADS, (numbers[pair],)).fetchone()[0] >= _SNAPSHOTS_MOVED:
-            for statement in _MOVE_LOADS:
-                connection.execute(statement)
+    # One link tells how many snapshots there are; a condition within the statements below would be looked at
+    # for each row: 0.2 ms each.
+    first, _ = found[0]
+    if connection.execute(_COUNT_NEW_LOADS, (numbers[first],)).fetchone()[0] >= _SNAPSHOTS_MOVED:
+        for statement in _MOVE_LOADS:
+            connection.execute(statement)
 
 
 def load_link_numbers(connection: sqlite3.Connection) -> LinkNumbers:
