@@ -50,6 +50,9 @@ HELLO_S = 10.0
 PATIENCE_S = 3.0
 # From the beginning of one to that of the next: an agent that ends again and again costs more than it saves.
 REST_S = 10.0
+# Conversations in a row without a first word: one may come too late from a busy host, all do behind a wrapper
+# that reads its input to the end.
+_MAX_SILENT = 3
 # At least so often its thread looks, though nobody wakes it.
 _LOOK_EACH_S = 60.0
 # Of an end of the conversation that waits for others.
@@ -95,11 +98,12 @@ class Conversation:
     """One agent that stays: a thread begins it and listens to it; that of all sends the pulses.
 
     Once ``is_over`` it carries nothing any more; ``is_useless``: another one on this connection would not
-    either. While only readings are under way its thread sleeps, and who wants to know them takes them up.
+    either; ``is_silent``: the agent has not said anything.
+    While only readings are under way its thread sleeps, and who wants to know them takes them up.
     """
 
     def __init__(self, session: ConversableSession, greeting: Mapping[str, object]) -> None:
-        self.is_over, self.is_useless = False, True
+        self.is_over, self.is_useless, self.is_silent = False, False, True
         self._session, self._greeting = session, greeting
         self._open, self._decided = False, threading.Event()
         self._exchange: OpenExchange | None = None
@@ -234,12 +238,16 @@ class Conversation:
         self.end()
 
     def _begin(self, marker: str) -> OpenExchange:
-        return self._session.converse(
-            build_agent_command(self._session.python),
-            build_packet(self._greeting, marker, HELLO_S),
-            timeout=HELLO_S,
-            give_way=self.give_way,
-        )
+        try:
+            return self._session.converse(
+                build_agent_command(self._session.python),
+                build_packet(self._greeting, marker, HELLO_S),
+                timeout=HELLO_S,
+                give_way=self.give_way,
+            )
+        except HostError as error:
+            self.is_useless = not isinstance(error, DeadlineError)
+            raise
 
     def _await_first_word(self, exchange: OpenExchange, marker: str) -> bytes:
         """Wait until the agent says that it stays; what came after that.
@@ -251,7 +259,10 @@ class Conversation:
         """
         said, deadline = b"", time.monotonic() + HELLO_S
         while (found := split_frame(said, marker)) is None:
-            if self.is_over or time.monotonic() >= deadline or len(said) > protocol.MAX_REPLY_BYTES:
+            if self.is_over or time.monotonic() >= deadline:
+                raise ReplyError("the agent has not said anything")
+            if len(said) > protocol.MAX_REPLY_BYTES:
+                self.is_useless = True
                 raise ReplyError("the agent does not stay")
             with contextlib.suppress(DeadlineError):
                 # In steps, because it may have to give way meanwhile.
@@ -260,10 +271,15 @@ class Conversation:
                 if not piece:
                     raise ReplyError("the agent has ended")
         payload, rest = found
-        check_reply(parse_reply_json(payload))
+        self.is_silent = False
+        try:
+            check_reply(parse_reply_json(payload))
+        except HostError:
+            self.is_useless = True
+            raise
         with self._lock:
             if not self.is_over:
-                self._exchange, self._open, self.is_useless = exchange, True, False
+                self._exchange, self._open = exchange, True
                 self._used_at = time.monotonic()
                 self._decided.set()
         return rest
@@ -409,7 +425,7 @@ class ConversingSession:
         self._conversation: Conversation | None = None
         self._closed = self._expecting = False
         self._asked_at = self._begun_at = -math.inf
-        self._in_row = 0
+        self._in_row = self._silent = 0
 
     @property
     def python(self) -> str:
@@ -420,11 +436,8 @@ class ConversingSession:
         """Begin a conversation at once: many requests follow, also such that change something."""
         with self._lock:
             self._expecting = True
-            found = self._conversation
-            if self._closed or (found is not None and (not found.is_over or found.is_useless)):
-                return
-            self._begun_at = time.monotonic()
-            self._conversation = Conversation(self._session, _build_greeting(host.fleet, host.name))
+            if not self._closed and self._may_begin():
+                self._begin(host.fleet, host.name)
 
     def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
         """As ``Session.run``."""
@@ -433,28 +446,37 @@ class ConversingSession:
         )
         if packet is None or (changes and not self._expecting):
             return self._session.run(command, stdin, timeout=timeout, limit=limit)
-        deadline = time.monotonic() + timeout
+        conversation, deadline = self._find_conversation(packet), time.monotonic() + timeout
         try:
-            conversation = self._find_conversation(packet)
-            if conversation is not None and self._expecting:
-                conversation.await_open(min(timeout, self._begun_at + PATIENCE_S - time.monotonic()))
-            left = deadline - time.monotonic()
-            if conversation is not None and left > 0:
-                feed = self._make_feed(packet, limit)
-                output = conversation.ask(packet, timeout=left, limit=limit, changes=changes, feed=feed)
+            if conversation is not None:
+                output = self._ask_agent(conversation, packet, deadline, limit, changes=changes)
                 if output is not None:
-                    if feed is not None and self._put_feed is not None:
-                        self._put_feed(feed)
                     return Reply(stdout=output, stderr=b"", status=0)
-            left = deadline - time.monotonic()
-            if left <= 0:
-                raise DeadlineError(f"no answer within {timeout:.3g} s")
-            reply = self._session.run(command, stdin, timeout=left, limit=limit)
+            reply = self._session.run(command, stdin, timeout=_compute_left(deadline), limit=limit)
+        except DeadlineError as error:
+            # Its own message is of what was left.
+            raise DeadlineError(f"no answer within {timeout:.3g} s", host=error.host) from error
+        else:
             if conversation is not None:
                 conversation.note_call(packet)
             return reply
         finally:
             self._asked_at = time.monotonic()
+
+    def _ask_agent(
+        self, conversation: Conversation, packet: bytes, deadline: float, limit: int, *, changes: bool
+    ) -> bytes | None:
+        """As `Conversation.ask`; first waits until the agent has begun, where requests are expected."""
+        if self._expecting:
+            opens_by = min(deadline, self._begun_at + PATIENCE_S)
+            conversation.await_open(opens_by - time.monotonic())
+        feed = self._make_feed(packet, limit)
+        output = conversation.ask(
+            packet, timeout=_compute_left(deadline), limit=limit, changes=changes, feed=feed
+        )
+        if output is not None and feed is not None and self._put_feed is not None:
+            self._put_feed(feed)
+        return output
 
     def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:
         """As ``Session.stream``, a call of its own."""
@@ -495,16 +517,29 @@ class ConversingSession:
         for.
         """
         with self._lock:
-            now, found = time.monotonic(), self._conversation
+            now = time.monotonic()
             self._in_row = self._in_row + 1 if now - self._asked_at <= KEEP_S else 1
-            if found is not None and (not found.is_over or found.is_useless):
-                return found
-            if self._closed or self._in_row < MIN_IN_ROW or now - self._begun_at < REST_S:
-                return None
-            self._begun_at = now
-            asked = json.loads(packet.partition(b"\n")[2])
-            self._conversation = Conversation(self._session, _build_greeting(asked["fleet"], asked["host"]))
+            if not self._may_begin():
+                return self._conversation
+            if not self._closed and self._in_row >= MIN_IN_ROW and now - self._begun_at >= REST_S:
+                asked = json.loads(packet.partition(b"\n")[2])
+                self._begin(asked["fleet"], asked["host"])
         return None
+
+    def _may_begin(self) -> bool:
+        """Whether no conversation is under way, and another one may be of use; with the lock."""
+        found = self._conversation
+        if found is None:
+            return True
+        silent = self._silent + found.is_silent
+        return found.is_over and not found.is_useless and silent < _MAX_SILENT
+
+    def _begin(self, fleet: str, host: str) -> None:
+        """Begin a conversation; with the lock."""
+        found = self._conversation
+        self._silent = self._silent + 1 if found is not None and found.is_silent else 0
+        self._begun_at = time.monotonic()
+        self._conversation = Conversation(self._session, _build_greeting(fleet, host))
 
 
 def share_agent(
@@ -553,6 +588,14 @@ def _find_packet(stdin: bytes) -> tuple[bytes | None, bool]:
     ):
         return None, False
     return stdin, changes
+
+
+def _compute_left(deadline: float) -> float:
+    """The seconds until then. Raises DeadlineError where none are left."""
+    left = deadline - time.monotonic()
+    if left <= 0:
+        raise DeadlineError("no time is left")
+    return left
 
 
 def _build_greeting(fleet: str, host: str) -> dict[str, object]:

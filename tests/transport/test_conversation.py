@@ -561,6 +561,42 @@ def test_an_agent_that_ends_again_and_again_is_not_begun_again_and_again() -> No
         assert within.begun == 1
 
 
+class SilentExchange(ScriptedExchange):
+    """An agent whose first word does not come, as on a host that is too busy."""
+
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
+        self._said.get()
+
+
+def test_an_agent_that_says_nothing_is_begun_again_but_not_for_ever(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(conversation, "REST_S", 0.0)
+    monkeypatch.setattr(conversation, "HELLO_S", 0.05)
+    within = ScriptedSession(answer_well, SilentExchange)
+    with ConversingSession(within) as session:
+        until(lambda: run_scripted(session) and within.begun == 3 and not list_threads(), every=0.01)
+        for _ in range(20):
+            assert run_scripted(session) == b"by a call"
+        assert within.begun == 3
+
+
+@pytest.mark.parametrize("silences", [1, 2])
+def test_an_agent_whose_first_word_came_too_late_is_conversed_with_later(
+    silences: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(conversation, "REST_S", 0.0)
+    monkeypatch.setattr(conversation, "HELLO_S", 0.05)
+    within = ScriptedSession(answer_well, SilentExchange)
+    with ConversingSession(within) as session:
+        until(lambda: run_scripted(session) and within.begun == silences, every=0.01)
+        until(lambda: not list_threads())
+        monkeypatch.setattr(conversation, "HELLO_S", ANSWERS_S)
+        within.kind = ScriptedExchange
+        until_shared(session)
+
+
 def test_three_refusals_in_a_row_end_it_for_good(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(conversation, "REST_S", 0.0)
     asked: list[int] = []
@@ -585,6 +621,7 @@ def test_a_host_without_compiled_code_is_not_given_up(
     """As each is after an upgrade: the first requests of each operation are refused, also many beside each other."""
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
     monkeypatch.setattr(conversation, "PATIENCE_S", ANSWERS_S)
+    monkeypatch.setattr(conversation, "HELLO_S", ANSWERS_S)
     fleet = Fleet(Host(name="edge1", role=Role.EDGE, host="localhost", connection=Connection.LOCAL))
     with fleet.pool, ThreadPoolExecutor(4) as pool:
         # Keeps the agent, and the code of a probe alone.
@@ -805,8 +842,26 @@ def test_a_deadline_and_an_interruption_reach_the_asker() -> None:
     ) as session:
         until_shared(session)
         silent.set()
-        with pytest.raises(DeadlineError, match=r"no answer within 0.1 s"):
+        with pytest.raises(DeadlineError, match=r"no answer within 0.1 s$"):
             run_scripted(session, timeout=0.1)
+
+
+class OverdueSession(ScriptedSession):
+    """A host that nobody hears any more."""
+
+    def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
+        raise DeadlineError(f"no answer within {timeout:.3g} s", host="edge1")
+
+
+def test_a_deadline_states_the_time_that_was_asked_for_and_not_what_was_left(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(conversation, "PATIENCE_S", 0.5)
+    with ConversingSession(OverdueSession(answer_well, SilentExchange)) as session:
+        session.expect_requests(EXPECTED)
+        with pytest.raises(DeadlineError, match=r"^no answer within 30 s$") as raised:
+            run_scripted(session, timeout=30.0)
+    assert raised.value.host == "edge1"
 
 
 def test_a_request_that_is_longer_than_a_frame_has_a_call() -> None:
