@@ -3,6 +3,7 @@
 
 import os
 import signal
+import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 import pytest
 
 from edgectl.agent.supervise import records
+from edgectl.agent.supervise.switch_lock import end_switch, open_switch_lock, take_switch_lock
 from edgectl.errors import RefusedError
 from tests.agent.conftest import AgentHost, eventually, is_running
 from tests.agent.switching import ACTIVATE, Ticker, a_check
@@ -319,10 +321,28 @@ def test_a_standby_is_not_fenced_until_it_is_active(host: AgentHost, tmp_path: P
 
 
 def test_a_stop_ends_an_activation_that_hangs(ticker: Ticker) -> None:
-    # Joined by &&: of the processes that the stop ends, sleep may be the first.
-    late = a_check(f"sleep 600 && {ACTIVATE}", 300.0)
+    late = a_check(f"sleep 600; {ACTIVATE}", 300.0)
     with with_rule(ticker, activate=late).hold("activate") as held:
         held.go()
         eventually(lambda: ticker.role() == ("active", True))
         assert ticker.host.stop("slam")["state"] == "stopped"
     assert (ticker.host.entry("slam"), ticker.changes()) == (None, [])
+
+
+def test_what_waits_for_another_part_of_an_activation_ends_before_it(tmp_path: Path) -> None:
+    """In any order that a set of numbers may have: many pairs, one after the other."""
+    for number in range(24):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        lock = open_switch_lock(str(folder))
+        assert take_switch_lock(lock, 1.0)
+        command = "sleep 600 & echo $!; wait; : >went_on"
+        with subprocess.Popen(
+            ["sh", "-c", command], cwd=folder, pass_fds=[lock], stdout=subprocess.PIPE, text=True
+        ) as waiting:
+            os.close(lock)
+            assert waiting.stdout is not None
+            child = int(waiting.stdout.readline())
+            end_switch(str(folder))
+        assert not is_running(child)
+        assert not (folder / "went_on").exists()

@@ -46,9 +46,12 @@ def end_switch(folder: str) -> None:
     """
     deadline = time.monotonic() + _KILL_S
     while lockfile.is_lock_held(folder, NAME):
+        is_late = time.monotonic() >= deadline
         table = proc.read_process_table()
-        for pid in lockfile.find_lock_holders(folder, table, NAME):
+        # Who began another first: it would go on when that ends, as a request that undoes its activation.
+        holders = lockfile.find_lock_holders(folder, table, NAME)
+        for pid in sorted(holders, key=lambda pid: (table[pid].ticks, pid)):
             signals.send_signal(pid, table[pid].ticks, signals.parse_signal("KILL"))
-        if time.monotonic() >= deadline:
+        if is_late:
             raise RefusalError("busy", "an activation is under way and cannot be killed", "apply again")
         time.sleep(_TRY_S)
