@@ -43,7 +43,7 @@ class Ticker:
         self.host, self.folder, self.instance = host, folder, "i1"
         (folder / "ticker.py").write_text(TICKER)
         self.command = f"exec {sys.executable} -S {folder}/ticker.py {folder}"
-        ready = a_check(f"test -e {folder}/up", 5.0)
+        ready = a_check(f"test -e {folder}/up", patience(5.0))
         self.rule = {
             "activate": a_check(ACTIVATE), "deactivate": a_check(DEACTIVATE),
             "lifecycle": None, "ready": ready, "up_s": 0.0, **rule,

@@ -9,6 +9,7 @@ import pytest
 
 from edgectl.errors import RefusedError
 from tests.agent.conftest import AgentHost, eventually
+from tests.pace import patience
 
 
 def ask(host: AgentHost, action: str, **fields: Any) -> dict[str, Any]:
@@ -49,7 +50,7 @@ def test_what_is_never_heard_again_is_no_gap(host: AgentHost, tmp_path: Path) ->
     flag.touch()
     assert ask(host, "begin", command=f"test -e {flag} || {{ echo no pulse; false; }}")["heard"]
     flag.unlink()
-    found = ask(host, "end", after_s=0.0, timeout_s=0.5)
+    found = ask(host, "end", after_s=0.0, timeout_s=patience(0.5))
     assert (found["heard"], found["detail"]) == (False, "the command failed: no pulse")
 
 
@@ -64,6 +65,6 @@ def test_a_success_from_before_the_old_instance_ended_is_not_the_new_one(host: A
 
 
 def test_a_command_that_never_succeeded_was_not_heard_before_the_move(host: AgentHost) -> None:
-    begun = ask(host, "begin", command="echo deaf; false", timeout_s=0.3)
+    begun = ask(host, "begin", command="echo deaf; false", timeout_s=patience(0.3))
     assert (begun["heard"], begun["detail"]) == (False, "the command failed: deaf")
     ask(host, "end", timeout_s=0.0)

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from tests.agent.conftest import AgentHost, eventually
+from tests.pace import patience
 
 
 def leave(host: AgentHost, seconds: float, instance: str = "i1") -> dict[str, Any]:
@@ -44,7 +45,12 @@ def test_a_mark_of_another_instance_or_that_has_run_out_counts_for_nothing(host:
 def test_it_is_not_unhealthy_until_the_mark_has_run_out(host: AgentHost, tmp_path: Path) -> None:
     asked, fine = tmp_path / "asked", tmp_path / "fine"
     fine.touch()
-    alive = {"command": f"echo >> {asked}; test -e {fine}", "timeout_s": 5.0, "after_s": 0.1, "restart": True}
+    alive = {
+        "command": f"echo >> {asked}; test -e {fine}",
+        "timeout_s": patience(5.0),
+        "after_s": 0.1,
+        "restart": True,
+    }
     host.start("slam", "exec sleep 600", restart="always", alive=alive)
     leave(host, 600.0)
     fine.unlink()

@@ -136,7 +136,7 @@ def test_a_move_that_fails_restores_the_old_instance(bench: Bench, tmp_path: Pat
         name: Check(command=f"echo {name} >> {tmp_path}/hooks", on=CheckLocation.ROBOT)
         for name in ("safe_when", "hold", "release")
     }
-    ready = Check(command='test "$EDGECTL_HOST" = edge1', timeout=5.0)
+    ready = Check(command='test "$EDGECTL_HOST" = edge1', timeout=patience(5.0))
     task = a_sleeper("slam", mark, robots=("robot1",), ready=ready, handoff=HandoffContract(**hooks))
     bench.using(task).apply()
     elsewhere = replace(task, hosts=replace(task.hosts, never=("edge1",)))

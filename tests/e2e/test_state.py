@@ -203,7 +203,9 @@ def test_a_load_that_fails_ends_in_the_old_instance_with_its_memory(
     """start-first: it was never stopped. stop-first: it gets what was saved."""
     task = scene.task(order)
     old = scene.running(task)
-    refused = Check(command=f"[ $EDGECTL_HOST = {old} ] || exit 9; {scene.words('load')}", timeout=2.0)
+    refused = Check(
+        command=f"[ $EDGECTL_HOST = {old} ] || exit 9; {scene.words('load')}", timeout=patience(2.0)
+    )
     assert task.state is not None
     task = replace(task, state=replace(task.state, load=refused))
     result = scene.move(task, old)
@@ -388,7 +390,7 @@ def test_a_warm_move_hands_the_memory_to_the_copy(scene: Scene, moment: SaveMome
 def test_a_warm_move_that_cannot_carry_the_memory_leaves_the_old_one_active(
     scene: Scene, moment: SaveMoment, failing: str
 ) -> None:
-    task = a_warm(scene, moment=moment, **{failing: Check(command="exit 9", timeout=2.0)})
+    task = a_warm(scene, moment=moment, **{failing: Check(command="exit 9", timeout=patience(2.0))})
     old = scene.running(task)
     before = scene.bench.using(task).sample("keeper").instance
     result = scene.move(task, old)
@@ -449,7 +451,7 @@ def test_a_task_without_an_active_instance_starts_also_where_its_memory_cannot_c
     task = a_warm(scene)
     old = scene.running(task)
     die_in_a_warm_move(scene, task, old, "deactivate acknowledged")
-    broken = a_warm(scene, **{failing: Check(command="exit 9", timeout=2.0)})
+    broken = a_warm(scene, **{failing: Check(command="exit 9", timeout=patience(2.0))})
     result = scene.apply(exclude_host(broken, old))
     assert result is not None
     new = ({"edge1", "edge2"} - {old}).pop()
