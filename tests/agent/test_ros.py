@@ -96,7 +96,7 @@ def test_a_node_that_hangs_is_not_alive(
         timeout_s=0.5,
     )
     assert hung["exit"] != 0
-    assert time.monotonic() - began < 5.0
+    assert time.monotonic() - began < patience(5.0)
 
 
 @pytest.mark.parametrize("reply", [b"", b"HTTP/1.1 200 OK\r\n\r\nno xml", b"\0" * 200_000])
