@@ -50,9 +50,9 @@ HELLO_S = 10.0
 PATIENCE_S = 3.0
 # From the beginning of one to that of the next: an agent that ends again and again costs more than it saves.
 REST_S = 10.0
-# Conversations in a row without a first word: one may come too late from a busy host, all do behind a wrapper
-# that reads its input to the end.
-_MAX_SILENT = 3
+# Conversations in a row that were of no use. A busy host may say its first word too late, the agent may be
+# elsewhere since its file was removed, and a wrapper that reads its input to the end never says one.
+_MAX_FRUITLESS = 3
 # At least so often its thread looks, though nobody wakes it.
 _LOOK_EACH_S = 60.0
 # Of an end of the conversation that waits for others.
@@ -98,12 +98,12 @@ class Conversation:
     """One agent that stays: a thread begins it and listens to it; that of all sends the pulses.
 
     Once ``is_over`` it carries nothing any more; ``is_useless``: another one on this connection would not
-    either; ``is_silent``: the agent has not said anything.
+    either; ``is_fruitless``: the agent has not said anything, or refuses what it is asked.
     While only readings are under way its thread sleeps, and who wants to know them takes them up.
     """
 
     def __init__(self, session: ConversableSession, greeting: Mapping[str, object]) -> None:
-        self.is_over, self.is_useless, self.is_silent = False, False, True
+        self.is_over, self.is_useless, self.is_fruitless = False, False, True
         self._session, self._greeting = session, greeting
         self._open, self._decided = False, threading.Event()
         self._exchange: OpenExchange | None = None
@@ -169,7 +169,7 @@ class Conversation:
         return bytes(question.output) if question.whole else None
 
     def _note_refusal(self, packet: bytes, asked_at: float, *, refused: bool) -> None:
-        """End for good after many requests of one operation that the agent did not take."""
+        """End after many requests of one operation that the agent did not take."""
         operation = packet.partition(b"\n")[0].split()[-1]
         with self._lock:
             if not refused:
@@ -180,8 +180,8 @@ class Conversation:
                 self._refused[operation] = count + 1, math.inf
             over = self._refused[operation][0] >= _MAX_REFUSED
         if over:
-            # Before its asker goes on, who would begin another one.
-            self.give_way()
+            self.is_fruitless = True
+            self.end()
 
     def note_call(self, packet: bytes) -> None:
         """Note that a request had a call of its own, and has been carried out."""
@@ -271,7 +271,7 @@ class Conversation:
                 if not piece:
                     raise ReplyError("the agent has ended")
         payload, rest = found
-        self.is_silent = False
+        self.is_fruitless = False
         try:
             check_reply(parse_reply_json(payload))
         except HostError:
@@ -425,7 +425,7 @@ class ConversingSession:
         self._conversation: Conversation | None = None
         self._closed = self._expecting = False
         self._asked_at = self._begun_at = -math.inf
-        self._in_row = self._silent = 0
+        self._in_row = self._fruitless = 0
 
     @property
     def python(self) -> str:
@@ -531,13 +531,13 @@ class ConversingSession:
         found = self._conversation
         if found is None:
             return True
-        silent = self._silent + found.is_silent
-        return found.is_over and not found.is_useless and silent < _MAX_SILENT
+        fruitless = self._fruitless + found.is_fruitless
+        return found.is_over and not found.is_useless and fruitless < _MAX_FRUITLESS
 
     def _begin(self, fleet: str, host: str) -> None:
         """Begin a conversation; with the lock."""
         found = self._conversation
-        self._silent = self._silent + 1 if found is not None and found.is_silent else 0
+        self._fruitless = self._fruitless + 1 if found is not None and found.is_fruitless else 0
         self._begun_at = time.monotonic()
         self._conversation = Conversation(self._session, _build_greeting(fleet, host))
 

@@ -40,7 +40,7 @@ from edgectl.usecases.probe import probe_fleet
 from edgectl.usecases.scrape import keep_sessions_open
 from edgectl.usecases.status import probe_repeatedly
 from edgectl.usecases.watch import WatchOptions, watch_fleet
-from tests.agent.conftest import a_spec, is_running
+from tests.agent.conftest import a_spec, is_running, shared_memory
 from tests.builders import an_inventory, some_tasks
 from tests.pace import patience
 from tests.relay import Relay, RelayFault
@@ -102,6 +102,15 @@ class Fleet:
         assert self.ask("status", host, task=None)["host"] == (host or self.hosts[0]).name
         return len(self.transport.calls) == before
 
+    def describe(self) -> object:
+        """What became of the conversation with the first host."""
+        with self.pool.connect(self.hosts[0], timeout=ANSWERS_S) as session:
+            found = session._session._conversation  # type: ignore[attr-defined]
+        seen = found and {
+            name: getattr(found, name) for name in ("is_over", "is_useless", "is_fruitless", "_refused")
+        }
+        return self.transport.agents, self.transport.calls[:40], seen
+
     def start(self, task: str = "slam") -> None:
         self.ask(
             "start",
@@ -120,10 +129,12 @@ def list_threads() -> list[threading.Thread]:
     return [each for each in threading.enumerate() if each.name == "edgectl-converse"]
 
 
-def until(found: Callable[[], object], *, every: float = 0.05) -> None:
+def until(
+    found: Callable[[], object], *, every: float = 0.05, describe: Callable[[], object] = lambda: ""
+) -> None:
     deadline = time.monotonic() + ANSWERS_S
     while not found():
-        assert time.monotonic() < deadline, "did not happen in time"
+        assert time.monotonic() < deadline, f"did not happen in time {describe()}"
         time.sleep(every)
 
 
@@ -230,6 +241,21 @@ def test_the_death_of_the_agent_costs_a_request_its_time_alone(local: Fleet, tmp
     assert [reply["state"] for reply in replies] == ["running"]
     assert local.transport.calls[-1] == ("edge1", "wait")
     assert not local.is_conversed(), "the next agent is not begun at once"
+
+
+def test_an_agent_that_was_removed_and_sent_to_another_place_is_conversed_with_there(
+    local: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in shared memory, where a host finds it whose home could not be written for a time."""
+    monkeypatch.setattr(conversation, "REST_S", 0.0)
+    until(local.is_conversed)
+    (kept,) = (tmp_path / "state" / "agent").glob("*.pyz")
+    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "other"))
+    kept.unlink()
+    assert not local.is_conversed()
+    until(local.is_conversed)
+    assert (tmp_path / "other" / "agent" / kept.name).exists()
+    assert len(local.transport.agents) >= 2
 
 
 def test_agents_that_are_killed_again_and_again_cost_no_request(
@@ -597,7 +623,9 @@ def test_an_agent_whose_first_word_came_too_late_is_conversed_with_later(
         until_shared(session)
 
 
-def test_three_refusals_in_a_row_end_it_for_good(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_three_refusals_in_a_row_end_it_and_three_such_agents_for_good(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(conversation, "REST_S", 0.0)
     asked: list[int] = []
 
@@ -609,10 +637,10 @@ def test_three_refusals_in_a_row_end_it_for_good(monkeypatch: pytest.MonkeyPatch
 
     within = ScriptedSession(refuse)
     with ConversingSession(within) as session:
-        until(lambda: run_scripted(session) and len(asked) == 3, every=0.01)
+        until(lambda: run_scripted(session) and len(asked) == 9, every=0.01)
         for _ in range(5):
             assert run_scripted(session) == b"by a call"
-    assert (len(asked), within.begun) == (3, 1)
+    assert (len(asked), within.begun) == (9, 3)
 
 
 def test_a_host_without_compiled_code_is_not_given_up(
@@ -623,7 +651,8 @@ def test_a_host_without_compiled_code_is_not_given_up(
     monkeypatch.setattr(conversation, "PATIENCE_S", ANSWERS_S)
     monkeypatch.setattr(conversation, "HELLO_S", ANSWERS_S)
     fleet = Fleet(Host(name="edge1", role=Role.EDGE, host="localhost", connection=Connection.LOCAL))
-    with fleet.pool, ThreadPoolExecutor(4) as pool:
+    # Nor does the memory that tests share have the agent, or some of them removes it from there.
+    with shared_memory(), fleet.pool, ThreadPoolExecutor(4) as pool:
         # Keeps the agent, and the code of a probe alone.
         fleet.ask("probe", window_s=0.0)
         fleet.pool.expect_requests(fleet.hosts)
@@ -632,7 +661,7 @@ def test_a_host_without_compiled_code_is_not_given_up(
         assert {operation for _, operation in fleet.transport.calls} == {"probe", "status", "start", "wait"}
         assert fleet.transport.agents == ["edge1"]
         # On a busy machine it may have ended for silence, and begins again after a rest; one that is given up never does.
-        until(fleet.is_conversed)
+        until(fleet.is_conversed, describe=fleet.describe)
         began = list(fleet.transport.agents)
         del fleet.transport.calls[:]
         for n in range(4):
