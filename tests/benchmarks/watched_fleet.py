@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
@@ -123,11 +123,13 @@ def making_networks(folder: Path, names: Sequence[str]) -> Iterator[tuple[list[s
 
 
 @contextmanager
-def watching(folder: Path, enter: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
+def watching(
+    folder: Path, enter: Sequence[str], environment: Mapping[str, str] | None = None
+) -> Iterator[subprocess.Popen[bytes]]:
     """Run a watch, after the words that enter its network; it is ended by the signal that an operator would send."""
     with (folder / "output").open("wb") as output:
         command = [*enter, sys.executable, "-m", "edgectl", "watch", "--every", "1s"]
-        process = subprocess.Popen(command, cwd=folder, stdout=output, stderr=output)
+        process = subprocess.Popen(command, cwd=folder, stdout=output, stderr=output, env=environment)
     try:
         yield process
     finally:
