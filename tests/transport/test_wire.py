@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from edgectl.model.inventory import Host
+from edgectl.transport import conversation
 from tests.faults.link_fault import LinkFault, LinkFaultKind
 from tests.faults.relay import Relay
 from tests.pace import patience
@@ -73,8 +74,10 @@ def test_ways_over_a_far_line(far: FarHost, monkeypatch: pytest.MonkeyPatch) -> 
     assert ways == [3, 1]
 
 
-def test_bytes_of_a_login_a_call_and_a_shared_request(far: FarHost) -> None:
+def test_bytes_of_a_login_a_call_and_a_shared_request(far: FarHost, monkeypatch: pytest.MonkeyPatch) -> None:
     """A change of a kilobyte has a reason. Pulses pass beside shared requests, some 60 bytes each."""
+    # Bytes are counted until no more come.
+    monkeypatch.setattr(conversation, "KEEP_S", patience(conversation.KEEP_S))
     far.relay.set(LinkFault())
     assert far.fleet.ask("status", task=None)["tasks"] == {}
     # 11.6 kB when this was written.
