@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table that ``make bench`` ends with: what was noted, and which goals are missed."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from tests.benchmarks import ratios
-from tests.benchmarks.__main__ import list_benchmarks
+from tests.benchmarks.__main__ import OF_TWO_VERSIONS, list_benchmarks
 
 
 def test_noted_ratios_stand_in_one_table_with_their_goals(
@@ -36,4 +38,12 @@ def test_a_benchmark_by_itself_notes_nothing(tmp_path: Path, monkeypatch: pytest
 def test_every_benchmark_that_can_be_run_is_run() -> None:
     here = Path(ratios.__file__).parent
     modules = {path.stem for path in here.glob("*.py")} - {"__init__", "__main__", "ratios", "test_planner"}
-    assert set(list_benchmarks()) == modules
+    assert set(list_benchmarks()) == modules - set(OF_TWO_VERSIONS)
+
+
+@pytest.mark.parametrize("name", OF_TWO_VERSIONS)
+def test_a_benchmark_of_two_versions_asks_for_the_other(name: str) -> None:
+    command = [sys.executable, "-m", f"tests.benchmarks.{name}"]
+    done = subprocess.run(command, cwd=Path(__file__).parents[1], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"usage: python -m tests.benchmarks.{name} FOLDER")

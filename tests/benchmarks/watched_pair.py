@@ -57,7 +57,13 @@ def measure_round(
 
 
 def main(words: Sequence[str]) -> int:
-    """Print the CPU of both in each window, and the ratio of this version to the other."""
+    """Print the CPU of both in each window, and the ratio of this version to the other.
+
+    Return the exit status: 0, or 2 if no folder was given.
+    """
+    if not words:
+        print("usage: python -m tests.benchmarks.watched_pair FOLDER [N] [WINDOWS]", file=sys.stderr)
+        return 2
     other, numbers = Path(words[0]).resolve(), [int(word) for word in words[1:]]
     count, windows = (*numbers, *(64, 5)[len(numbers) :])
     names = [f"robot{n}" if n % 5 == 0 else f"edge{n}" for n in range(count, 0, -1)]
