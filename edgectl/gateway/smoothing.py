@@ -86,7 +86,7 @@ def _smooth_usage(
     tasks: tuple[list[TaskSample], list[TaskSample], list[TaskSample]],
     weight: float,
 ) -> ResourceUsage:
-    was, ours, averaged = (sum(task.used[name] for task in each) for each in tasks)
+    was, ours, averaged = (sum([task.used[name] for task in each]) if each else 0.0 for each in tasks)
     others = _compute_mean(before.used - was, now.used - ours, weight)
     return ResourceUsage(capacity=now.capacity, used=max(0.0, others + averaged))
 

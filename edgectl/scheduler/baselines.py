@@ -9,7 +9,7 @@ from edgectl.model.resource import CPU, MEMORY
 from edgectl.scheduler.candidates import CandidateSet, resource_terms_at
 from edgectl.scheduler.choice import Choice, MoveConstraints, choose_forced_move, choose_when_nothing_fits
 from edgectl.scheduler.scan import is_feasible_total
-from edgectl.scheduler.ties import order_tied_places
+from edgectl.scheduler.ties import choose_tied_place
 from edgectl.scheduler.utility import EPSILON
 
 # The score of one feasible place of a task: the greatest wins.
@@ -67,7 +67,7 @@ def score_draw(candidates: CandidateSet, place: int) -> float:
 def choose_highest_score(candidates: CandidateSet, score: PlaceScore, reason: Reason) -> Choice:
     """The feasible place with the greatest ``score`` for a task that starts.
 
-    Ties: ``ties.order_tied_places``.
+    Ties: ``ties.choose_tied_place``.
     """
     best = _find_highest_score(candidates, score)
     if best is None:
@@ -103,4 +103,4 @@ def _find_highest_score(candidates: CandidateSet, score: PlaceScore) -> int | No
         return None
     top = max(scores.values())
     tied = [place for place, value in scores.items() if value >= top - EPSILON]
-    return tied[0] if len(tied) == 1 else order_tied_places(candidates, tied)[0]
+    return tied[0] if len(tied) == 1 else choose_tied_place(candidates, tied)

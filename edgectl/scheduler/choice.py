@@ -12,7 +12,7 @@ from edgectl.scheduler.latency import rate_predicted_latency
 from edgectl.scheduler.ledger import NO_FREE_SHARE
 from edgectl.scheduler.move_cost import estimate_move_cost
 from edgectl.scheduler.scan import compute_worst_terms, is_feasible_total
-from edgectl.scheduler.ties import order_tied_places
+from edgectl.scheduler.ties import choose_tied_place
 from edgectl.scheduler.utility import EPSILON
 
 
@@ -59,13 +59,13 @@ _RULES_BETWEEN_TASKS = (RejectionRule.APART, RejectionRule.TOGETHER, RejectionRu
 def find_best_place(candidates: CandidateSet) -> int | None:
     """Argmax of the total over feasible places, eq. (5).
 
-    Ties: ``ties.order_tied_places``.
+    Ties: ``ties.choose_tied_place``.
     """
     first = candidates.totals.find_top()
     if first is None:
         return None
     tied = candidates.totals.list_at_least(candidates.totals[first] - EPSILON, first)
-    return first if len(tied) == 1 else order_tied_places(candidates, tied)[0]
+    return first if len(tied) == 1 else choose_tied_place(candidates, tied)
 
 
 def choose_by_utility(candidates: CandidateSet, constraints: MoveConstraints) -> Choice:
@@ -241,7 +241,7 @@ def choose_when_nothing_fits(candidates: CandidateSet) -> Choice:
     if candidates.context.policy.best_effort or candidates.task.if_nothing_fits is NothingFits.BEST_EFFORT:
         top = max(candidates.totals[place] for place in lacking)
         tied = [place for place in lacking if candidates.totals[place] >= top - EPSILON]
-        place = order_tied_places(candidates, tied)[0]
+        place = choose_tied_place(candidates, tied)
         return Choice(verdict=Verdict.PLACED, reason=Reason.BEST_EFFORT, place=place)
     nearest = min(lacking, key=lambda place: (-lacking[place], candidates.context.fleet.order[place]))
     return Choice(verdict=Verdict.UNPLACED, reason=Reason.NO_FEASIBLE_HOST, nearest=nearest)

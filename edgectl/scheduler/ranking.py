@@ -10,7 +10,7 @@ from edgectl.model.assignment import RankedHost, Rejection, RejectionRule, Utili
 from edgectl.scheduler.candidates import AssignmentContext, CandidateSet, Totals, latency_at, terms_at
 from edgectl.scheduler.demand import list_resource_demands
 from edgectl.scheduler.scan import EXCLUDED_TOTAL, INFEASIBLE_PENALTY, is_feasible_total
-from edgectl.scheduler.ties import order_tied_places
+from edgectl.scheduler.ties import choose_tied_place, order_tied_places
 from edgectl.scheduler.utility import EPSILON, compute_affinity
 
 # Above this many hosts a ranking keeps the winner, the incumbent and the best SHORT.
@@ -88,9 +88,7 @@ def _find_first_tied(
             tied.remove(chosen)
     if most - least > EPSILON / 2 or EPSILON / 2 < gap <= 2 * EPSILON:
         return None
-    return score_place(
-        candidates, next(place for place in order_tied_places(candidates, tied) if place != chosen)
-    )
+    return score_place(candidates, choose_tied_place(candidates, tied, chosen))
 
 
 def exclude_places(candidates: CandidateSet, places: Sequence[int]) -> Totals:

@@ -54,10 +54,14 @@ def compute_shortages(state: InitialState, tasks: Tasks) -> tuple[Shortage, ...]
         smallest = min(fleet.raw[resource.name][edge] for edge in edges)
         wanted = fsum(_list_least_demands(fleet, waiting, resource, smallest))
         amount = load + wanted - capacity
-        slack = fsum(fleet.get_slack(resource, edge) * fleet.usable[resource.name][edge] for edge in edges)
-        if amount > (EPSILON if wanted else slack):
+        if amount > 0 and amount > (EPSILON if wanted else _sum_slack(fleet, resource, edges)):
             found.append(Shortage(resource=resource, amount=amount))
     return tuple(found)
+
+
+def _sum_slack(fleet: Capacities, resource: Resource, edges: Sequence[int]) -> float:
+    usable = fleet.usable[resource.name]
+    return fsum(fleet.get_slack(resource, edge) * usable[edge] for edge in edges)
 
 
 def _may_run_onboard(fleet: Capacities, task: Task) -> bool:

@@ -9,6 +9,20 @@ from edgectl.scheduler.candidates import AssignmentContext, CandidateSet, resour
 from edgectl.scheduler.utility import EPSILON
 
 
+def choose_tied_place(candidates: CandidateSet, places: Sequence[int], besides: int | None = None) -> int:
+    """The first of ``places`` besides one in the order of `order_tied_places`; there is at least one."""
+    ranks = _rank_free_shares(candidates, places)
+    left = [place for place in places if place != besides]
+    if candidates.incumbent in left:
+        return candidates.incumbent
+    for counts in (ranks, candidates.placed):
+        if counts:
+            found = [counts.get(place, 0) for place in left]
+            least = min(found)
+            left = [place for place, count in zip(left, found, strict=True) if count == least]
+    return min(left, key=candidates.context.fleet.order.__getitem__)
+
+
 def order_tied_places(candidates: CandidateSet, places: Sequence[int]) -> list[int]:
     """Places of equal total, the one to choose first: incumbent, greatest sum of the resource terms (least
     where full hosts are preferred), fewest tasks placed in this pass, natural order.

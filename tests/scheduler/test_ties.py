@@ -12,8 +12,10 @@ from edgectl.config.weights import parse_weights
 from edgectl.model.explanation import TieRule
 from edgectl.model.policy import Policy
 from edgectl.scheduler.explain import find_tie
+from edgectl.scheduler.ties import choose_tied_place, order_tied_places
 from tests.builders import a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 from tests.scheduler.fleets import NO_MEMORY, hosts_by_task, run_assign, simulate_apply
+from tests.scheduler.test_scan import a_view
 from tests.scheduler.tight_fleets import TightFleet, build_random_fleet
 
 SMALL_AND_LARGE = an_inventory(an_edge("edge1"), an_edge("edge2"))
@@ -85,3 +87,19 @@ def test_other_names_of_tasks_change_nothing_where_priorities_order_them(seed: i
         for tasks in (ranked, [replace(task, name=names[task.name]) for task in ranked])
     ]
     assert found[1] == {names[task]: host for task, host in found[0].items()}
+
+
+@given(st.integers(0, 50), st.sampled_from(["all", "network"]), st.randoms(use_true_random=False), st.data())
+def test_the_place_that_is_chosen_is_the_first_in_order(
+    seed: int, weights: str, dice: Random, data: st.DataObject
+) -> None:
+    view = a_view(seed)
+    context = replace(view.context, policy=Policy(weights=parse_weights(weights)))
+    tied = dice.sample(list(view.listed), dice.randint(2, len(view.listed)))
+    placed = {place: dice.randint(1, 2) for place in tied if dice.random() < 0.7}
+    incumbent = data.draw(st.sampled_from([None, tied[0], tied[-1]]))
+    view = replace(view, context=context, placed=placed, incumbent=incumbent)
+    order = order_tied_places(view, tied)
+    assert choose_tied_place(view, tied) == order[0]
+    for besides in tied:
+        assert choose_tied_place(view, tied, besides) == next(place for place in order if place != besides)
