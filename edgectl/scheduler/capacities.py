@@ -11,7 +11,7 @@ from edgectl.model.assignment import Rejection, RejectionRule
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.resource import CPU, GPU, HOST_RESOURCES, NOTHING, Resource
-from edgectl.model.snapshot import HostSample, LinkSample, Snapshot
+from edgectl.model.snapshot import HostSample, LinkSample, ResourceUsage, Snapshot
 from edgectl.names import natural_key
 from edgectl.rules.slack import compute_slack
 from edgectl.scheduler.task_usage import TaskUsage
@@ -86,9 +86,10 @@ def build_capacities(
     robots = sorted(inventory.robots, key=lambda host: natural_key(host.name))
     places = (*edges, *robots)
     samples = tuple(snapshot.hosts.get(host.name) for host in places)
+    usages = list_measured_usages(samples)
     raw = {
         resource.name: tuple(
-            _resolve_capacity(host, sample, resource) for host, sample in zip(places, samples, strict=True)
+            [_resolve_capacity(host, usage, resource) for host, usage in zip(places, usages, strict=True)]
         )
         for resource in HOST_RESOURCES
     }
@@ -137,11 +138,16 @@ def update_samples(fleet: Capacities, snapshot: Snapshot) -> Capacities:
     return replace(fleet, samples=tuple([snapshot.hosts.get(host.name) for host in fleet.places]))
 
 
-def _resolve_capacity(host: Host, sample: HostSample | None, resource: Resource) -> float:
-    if sample is None or not sample.ok:
+def list_measured_usages(samples: Sequence[HostSample | None]) -> list[Mapping[str, ResourceUsage] | None]:
+    """What each host said of its resources; None where it did not answer."""
+    return [sample.usage if sample is not None and sample.ok else None for sample in samples]
+
+
+def _resolve_capacity(host: Host, usage: Mapping[str, ResourceUsage] | None, resource: Resource) -> float:
+    if usage is None:
         return 0.0
     declared = host.capacity[resource.name] if host.capacity is not None else 0.0
-    seen = sample.usage.get(resource.name)
+    seen = usage.get(resource.name)
     none = resource.absent if resource.optional else 0.0
     return none if seen is None else declared or seen.capacity
 

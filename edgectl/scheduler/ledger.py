@@ -12,7 +12,7 @@ from edgectl.model.policy import Weights
 from edgectl.model.resource import CPU, HOST_RESOURCES, NETWORK, NOTHING, Usage
 from edgectl.model.snapshot import HostSample, LinkSample, TaskSample
 from edgectl.model.task import Task
-from edgectl.scheduler.capacities import Capacities, list_shown_links
+from edgectl.scheduler.capacities import Capacities, list_measured_usages, list_shown_links
 from edgectl.scheduler.demand import demand_at
 from edgectl.scheduler.task_usage import TaskUsage, take_greater
 
@@ -169,7 +169,11 @@ def compute_free_share(capacity: float | None, used: float) -> float:
 
 def build_measured_ledger(fleet: Capacities) -> Ledger:
     """Gamma as the profilers saw it."""
-    used = {resource.name: _list_measured_usage(fleet, resource.name) for resource in HOST_RESOURCES}
+    usages = [usage or {} for usage in list_measured_usages(fleet.samples)]
+    used = {
+        resource.name: [usage[resource.name].used if resource.name in usage else 0.0 for usage in usages]
+        for resource in HOST_RESOURCES
+    }
     shown = list_shown_links(fleet.samples[: fleet.edges])
     links = {robot: _list_measured_link_rates(shown, robot) for robot in fleet.links}
     return Ledger(
@@ -193,13 +197,6 @@ def _count_living(sample: HostSample | None) -> int:
         return 0
     own = sum(run.state.alive for run in sample.tasks.values())
     return own + sum(run.state.alive for run in sample.foreign_tasks)
-
-
-def _list_measured_usage(fleet: Capacities, name: str) -> list[float]:
-    return [
-        sample.usage[name].used if sample and sample.ok and name in sample.usage else 0.0
-        for sample in fleet.samples
-    ]
 
 
 def _list_measured_link_rates(shown: Sequence[Mapping[str, LinkSample]], robot: str) -> list[float]:

@@ -42,7 +42,8 @@ def measure_live_links(
         for pair, link in observations.items()
     }
     known = forget_former_readings(observed, snapshot.taken_at)
-    _record_cut_links(fleet, snapshot, stored, known)
+    changed = {pair: each for pair, each in known.items() if each is not stored.get(pair, _NOTHING)}
+    _record_cut_links(fleet, snapshot, stored, changed)
     seen = apply_live_capacities(snapshot, known, observations, snapshot.taken_at)
     if probe_idle and fleet.inventory.probe_links:
         from edgectl.gateway.bandwidth import probe_idle_links
@@ -53,13 +54,12 @@ def measure_live_links(
         for pairs in split_into_rounds(chosen):
             rates = {pair: _find_nominal(snapshot, pair) for pair in pairs}
             for pair, result in probe_idle_links(fleet.inventory, fleet.transport, rates).items():
-                known[pair] = add_sample(
+                known[pair] = changed[pair] = add_sample(
                     known[pair], result, observations[pair].rtt_ms, snapshot.taken_at, rates[pair]
                 )
         seen = apply_live_capacities(snapshot, known, observations, snapshot.taken_at)
     # Links of hosts that did not answer now are kept.
     gone = {pair for pair in stored if pair not in known and not fleet.inventory.hosts.keys() >= {*pair}}
-    changed = {pair: each for pair, each in known.items() if each is not stored.get(pair, _NOTHING)}
     if gone or changed:
         kept = {pair: each for pair, each in {**stored, **changed}.items() if pair not in gone}
         _save(fleet, stored, {pair: each for pair, each in kept.items() if each != _NOTHING})
@@ -76,16 +76,15 @@ def _record_cut_links(
     fleet: Fleet,
     snapshot: Snapshot,
     stored: Mapping[tuple[str, str], LinkHistory],
-    known: Mapping[tuple[str, str], LinkHistory],
+    changed: Mapping[tuple[str, str], LinkHistory],
 ) -> None:
     """Record an event for each edge that, since the last probe, is cut off from a robot that answers here, or
-    is not any more.
+    is not any more; ``changed``: the histories that are not as they were ``stored``.
     """
     events = [
         _build_link_event(snapshot.taken_at, edge, robot, cut_off=link.cut_off)
-        for (edge, robot), link in known.items()
-        if (before := stored.get((edge, robot), _NOTHING)) is not link
-        and link.cut_off != before.cut_off
+        for (edge, robot), link in changed.items()
+        if link.cut_off != stored.get((edge, robot), _NOTHING).cut_off
         and robot in snapshot.hosts
         and snapshot.hosts[robot].ok
     ]
