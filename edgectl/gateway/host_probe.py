@@ -34,7 +34,6 @@ from edgectl.transport.fleet_lease import FleetLease
 
 if TYPE_CHECKING:
     from edgectl.gateway.readings import FleetReadings
-    from edgectl.transport.readings import Reading
 
 # A login costs CPU here, a sample window only time: more hosts may measure than log in at once.
 _PROBES_PER_LOGIN = 4
@@ -185,7 +184,7 @@ def _ask_hosts(hosts: Sequence[Host], context: _ProbeContext) -> _Answers:
         [host for host in hosts if host.name not in answers],
         context.transport,
         lambda host, _left: _build_request(host, context),
-        lambda reply: _decode_reply(reply, context),
+        lambda reply: _decode_asked(reply, context),
         timeout=options.timeout,
         max_logins=options.workers,
         max_hosts=_PROBES_PER_LOGIN * options.workers,
@@ -219,7 +218,9 @@ def _take_readings(hosts: Sequence[Host], context: _ProbeContext) -> tuple[_Answ
             continue
         value: DecodedProbe | HostError
         try:
-            value = readings.decode(host.name, reading, partial(_decode_reading, host, context))
+            came_at = context.clock() - (time.monotonic() - reading.came_at)
+            decode = partial(_decode_document, host, context, came_at)
+            value = readings.decode(host.name, reading.document, decode)
         except HostError as error:
             readings.drop(host.name)
             value = error
@@ -229,15 +230,22 @@ def _take_readings(hosts: Sequence[Host], context: _ProbeContext) -> tuple[_Answ
     return answers, spent
 
 
-def _decode_reading(
+def _decode_asked(reply: HostReply, context: _ProbeContext) -> DecodedProbe:
+    readings = context.options.readings
+    if readings is None or context.lease is not None:
+        return _decode_reply(reply, context)
+    decode = partial(_decode_document, reply.host, context, None)
+    return readings.decode(reply.host.name, reply.document, decode)
+
+
+def _decode_document(
     host: Host,
     context: _ProbeContext,
-    reading: "Reading",
+    came_at: float | None,
+    document: dict[str, object],
     known: tuple[Mapping[str, object], DecodedProbe] | None,
 ) -> DecodedProbe:
-    came_at = context.clock() - (time.monotonic() - reading.came_at)
-    reply = HostReply(host=host, document=reading.document, seconds=0.0)
-    return _decode_reply(reply, context, known, came_at)
+    return _decode_reply(HostReply(host=host, document=document, seconds=0.0), context, known, came_at)
 
 
 def _build_request(host: Host, context: _ProbeContext) -> dict[str, object]:

@@ -15,6 +15,7 @@ Value = TypeVar("Value")
 Request = dict[str, object]
 # By name: those of robots, and those of edges.
 Addresses = tuple[dict[str, str], dict[str, str]]
+Document = dict[str, object]
 Known = tuple[Mapping[str, object], Value] | None
 # A host is asked anew after so long, and up to half as much later: not all hosts in one cycle (s). A request
 # is a contact, by which a host knows that its manager is there; what a host sends is none.
@@ -26,13 +27,15 @@ MAX_EVERY_S = 5.0
 class FleetReadings(Generic[Value]):
     """The readings of the hosts of one fleet, each ``every`` s; ``feeds`` are those of its connections.
 
-    A reading counts for the very request that it answers. ``joined``: the links of all hosts. For one thread.
+    A reading counts for the very request that it answers. ``joined``: the links of all hosts. For one thread;
+    what different hosts say may be decoded by different ones.
     """
 
     def __init__(self, feeds: ReadingFeeds, *, every: float) -> None:
         self._feeds, self._every = feeds, every
         self._asked: dict[str, Request] = {}
-        self._decoded: dict[str, tuple[dict[str, object], Value]] = {}
+        # By host: what it said, the same made of equal parts of what it said before, and its value.
+        self._decoded: dict[str, tuple[Document, Document, Value]] = {}
         self._inputs: tuple[object, ...] = ()
         self._addresses: Addresses | None = None
         self._resolved_at = 0.0
@@ -86,22 +89,49 @@ class FleetReadings(Generic[Value]):
         """
         feed = self._feeds.find(host)
         silent_s = 0.0 if feed is None or feed.is_over else feed.silent_s
-        self.drop(host)
+        self._feeds.drop(host)
         self._asked[host] = request
         return silent_s
 
     def drop(self, host: str) -> None:
-        """Ask a host anew."""
+        """Ask a host anew, and decode all of what it says."""
         self._feeds.drop(host)
         self._decoded.pop(host, None)
 
-    def decode(self, host: str, reading: Reading, decode: Callable[[Reading, Known[Value]], Value]) -> Value:
-        """The value of a reading, decoded once; ``decode`` gets the document and the value before, too.
+    def decode(
+        self, host: str, document: Document, decode: Callable[[Document, Known[Value]], Value]
+    ) -> Value:
+        """The value of what a host says, decoded once; ``decode`` gets the document and value before, too.
+
+        A host that is asked anew repeats most of it; what is equal is taken for the very same.
 
         Raises:
             HostError: it is no reply to a probe.
         """
         known = self._decoded.get(host)
-        if known is None or known[0] is not reading.document:
-            known = self._decoded[host] = reading.document, decode(reading, known)
-        return known[1]
+        if known is None:
+            known = self._decoded[host] = document, document, decode(document, None)
+        elif known[0] is not document:
+            said, kept, value = known
+            same = _take_equal_parts(document, said, kept)
+            known = self._decoded[host] = document, same, decode(same, (kept, value))
+        return known[2]
+
+
+def _take_equal_parts(document: Document, said: Document, kept: Document) -> Document:
+    """``document`` with each value, and each entry of a mapping, that is equal in ``kept`` taken from there;
+    ``kept`` is what was made of ``said``.
+    """
+    found: Document = {}
+    for key, value in document.items():
+        known = kept.get(key)
+        if value is said.get(key) or value == known:
+            found[key] = known
+        elif isinstance(value, dict) and isinstance(known, dict):
+            found[key] = {
+                name: known[name] if name in known and known[name] == entry else entry
+                for name, entry in value.items()
+            }
+        else:
+            found[key] = value
+    return found
