@@ -5,6 +5,7 @@ import copy
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -91,7 +92,11 @@ def test_what_a_host_that_is_asked_anew_repeats_is_taken_for_the_very_same() -> 
     ]
 
     def probe(transport: FakeTransport, options: ProbeOptions) -> Snapshot:
-        return probe_hosts(site, NONE, transport, options=options, clock=lambda: NOW)
+        seen = probe_hosts(site, NONE, transport, options=options, clock=lambda: NOW)
+        # Its age is the time that passed since.
+        return replace(
+            seen, hosts={name: replace(sample, sample_age_s=0.0) for name, sample in seen.hosts.items()}
+        )
 
     asked = iter(copy.deepcopy(replies))
     transport = FakeTransport({"edge1": lambda _request: next(asked)})
