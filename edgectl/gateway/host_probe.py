@@ -219,7 +219,7 @@ def _take_readings(hosts: Sequence[Host], context: _ProbeContext) -> tuple[_Answ
         value: DecodedProbe | HostError
         try:
             came_at = context.clock() - (time.monotonic() - reading.came_at)
-            decode = partial(_decode_document, host, context, came_at)
+            decode = partial(_decode_reply, host, context, came_at)
             value = readings.decode(host.name, reading.document, decode)
         except HostError as error:
             readings.drop(host.name)
@@ -233,19 +233,9 @@ def _take_readings(hosts: Sequence[Host], context: _ProbeContext) -> tuple[_Answ
 def _decode_asked(reply: HostReply, context: _ProbeContext) -> DecodedProbe:
     readings = context.options.readings
     if readings is None or context.lease is not None:
-        return _decode_reply(reply, context)
-    decode = partial(_decode_document, reply.host, context, None)
+        return _decode_reply(reply.host, context, None, reply.document)
+    decode = partial(_decode_reply, reply.host, context, None)
     return readings.decode(reply.host.name, reply.document, decode)
-
-
-def _decode_document(
-    host: Host,
-    context: _ProbeContext,
-    came_at: float | None,
-    document: dict[str, object],
-    known: tuple[Mapping[str, object], DecodedProbe] | None,
-) -> DecodedProbe:
-    return _decode_reply(HostReply(host=host, document=document, seconds=0.0), context, known, came_at)
 
 
 def _build_request(host: Host, context: _ProbeContext) -> dict[str, object]:
@@ -273,13 +263,13 @@ def _build_single_request(host: Host, context: _ProbeContext) -> dict[str, objec
 
 
 def _decode_reply(
-    reply: HostReply,
+    host: Host,
     context: _ProbeContext,
+    came_at: float | None,
+    document: dict[str, object],
     known: tuple[Mapping[str, object], DecodedProbe] | None = None,
-    came_at: float | None = None,
 ) -> DecodedProbe:
-    """``came_at``: s since 1970; None: now."""
-    host, document = reply.host, reply.document
+    """``came_at``: s since 1970; None: now. ``known``: a document of this host before, and what it said."""
     if context.lease is not None:
         context.lease.take_reply(host.name, document.get("lease"))
     probe = decode_probe(document, host, None if known is None else (known[0], known[1].reply))

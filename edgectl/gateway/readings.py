@@ -121,6 +121,8 @@ class FleetReadings(Generic[Value]):
 def _take_equal_parts(document: Document, said: Document, kept: Document) -> Document:
     """``document`` with each value, and each entry of a mapping, that is equal in ``kept`` taken from there;
     ``kept`` is what was made of ``said``.
+
+    Equal is what Python calls so: true where 1 was known is 1, which was checked when it came.
     """
     found: Document = {}
     for key, value in document.items():

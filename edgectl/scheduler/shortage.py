@@ -54,6 +54,7 @@ def compute_shortages(state: InitialState, tasks: Tasks) -> tuple[Shortage, ...]
         smallest = min(fleet.raw[resource.name][edge] for edge in edges)
         wanted = fsum(_list_least_demands(fleet, waiting, resource, smallest))
         amount = load + wanted - capacity
+        # Neither limit is below 0, and the slack of hundreds of edges that lack nothing is a sum for nothing.
         if amount > 0 and amount > (EPSILON if wanted else _sum_slack(fleet, resource, edges)):
             found.append(Shortage(resource=resource, amount=amount))
     return tuple(found)

@@ -10,7 +10,10 @@ from edgectl.scheduler.utility import EPSILON
 
 
 def choose_tied_place(candidates: CandidateSet, places: Sequence[int], besides: int | None = None) -> int:
-    """The first of ``places`` besides one in the order of `order_tied_places`; there is at least one."""
+    """The first of ``places`` besides one in the order of `order_tied_places`; there is at least one.
+
+    It leaves out those that are behind, a rule at a time: a sort would make a key for each of hundreds.
+    """
     ranks = _rank_free_shares(candidates, places)
     left = [place for place in places if place != besides]
     if candidates.incumbent in left:
