@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from edgectl.agent.link import protocol
 from edgectl.dataclass import dataclass, replace_fields
 from edgectl.errors import HostError
-from edgectl.gateway.fanout import MAX_PARALLEL_HOSTS, HostAnswer, HostReply, ask_all, fan_out
+from edgectl.gateway.fanout import MAX_PARALLEL_HOSTS, HostAnswer, ask_all, fan_out
 from edgectl.gateway.latency import Latencies, decode_latencies, join_latencies
 from edgectl.gateway.link_observations import LinkEnds, join_link_ends
 from edgectl.gateway.probe_reply import (
@@ -47,6 +47,10 @@ def ignore_host(_name: str, _sample: HostSample, _seconds: float) -> None:
     """Report nothing."""
 
 
+def ignore_heartbeat(_host: str) -> None:
+    """Note nothing."""
+
+
 def _ignore_links(_links: Mapping[tuple[str, str], LinkObservation]) -> None:
     """Report nothing."""
 
@@ -66,7 +70,8 @@ class ProbeOptions:
     ``placed``: the instance of each task as far as this manager knows it.
     ``totals``: also read the counters of each host, from which means over a mission are taken (ADR 0132).
     ``probe_idle_links``: also probe the idle links whose turn it is, for at most 0.1 s each (ADR 0077).
-    ``readings``: those that hosts send by themselves; only the other hosts are asked.
+    ``readings``: those that hosts send by themselves; only the other hosts are asked. ``note_heartbeat``
+    records a heartbeat of one of these, as `HeartbeatTransport` does of those that are asked.
     ``on_host`` is called as each host ends, in the caller's thread, with name, sample and seconds;
     ``on_links`` once, with the links by (edge, robot).
     """
@@ -83,6 +88,7 @@ class ProbeOptions:
     totals: bool = False
     probe_idle_links: bool = False
     readings: "FleetReadings[DecodedProbe] | None" = None
+    note_heartbeat: Callable[[str], None] = ignore_heartbeat
     on_host: HostCallback = ignore_host
     on_links: LinksCallback = _ignore_links
 
@@ -184,7 +190,7 @@ def _ask_hosts(hosts: Sequence[Host], context: _ProbeContext) -> _Answers:
         [host for host in hosts if host.name not in answers],
         context.transport,
         lambda host, _left: _build_request(host, context),
-        lambda reply: _decode_asked(reply, context),
+        lambda reply: _decode_reply(reply.host, context, None, reply.document),
         timeout=options.timeout,
         max_logins=options.workers,
         max_hosts=_PROBES_PER_LOGIN * options.workers,
@@ -203,39 +209,33 @@ def _take_readings(hosts: Sequence[Host], context: _ProbeContext) -> tuple[_Answ
     spent: dict[str, float] = {}
     if readings is None or context.lease is not None:
         return answers, spent
-    readings.use_inputs(
+    readings.begin_cycle(
         (
             *(context.addresses, context.edges),
             *(options.timeout, options.window, options.totals, options.manager_id),
             *(options.measured, options.reopened, options.former_hosts, options.placed),
-        )
+        ),
+        options.note_heartbeat,
     )
     for host in hosts:
-        request = _build_request(host, context)
-        reading = readings.find(host.name, request)
-        if reading is None:
-            spent[host.name] = min(_SILENT_SHARE * options.timeout, readings.ask_anew(host.name, request))
-            continue
+        request, said_at = _build_request(host, context), time.monotonic()
         value: DecodedProbe | HostError
         try:
+            reading = readings.find(host.name, request)
+            if reading is None:
+                spent[host.name] = min(_SILENT_SHARE * options.timeout, readings.ask_anew(host.name, request))
+                continue
+            said_at = reading.said_at
             came_at = context.clock() - (time.monotonic() - reading.came_at)
             decode = partial(_decode_reply, host, context, came_at)
             value = readings.decode(host.name, reading.document, decode)
         except HostError as error:
             readings.drop(host.name)
             value = error
-        answer = HostAnswer(host=host, value=value, ended=reading.said_at, seconds=0.0)
+        answer = HostAnswer(host=host, value=value, ended=said_at, seconds=0.0)
         answers[host.name] = answer
         options.on_host(host.name, _get_sample(answer), 0.0)
     return answers, spent
-
-
-def _decode_asked(reply: HostReply, context: _ProbeContext) -> DecodedProbe:
-    readings = context.options.readings
-    if readings is None or context.lease is not None:
-        return _decode_reply(reply.host, context, None, reply.document)
-    decode = partial(_decode_reply, reply.host, context, None)
-    return readings.decode(reply.host.name, reply.document, decode)
 
 
 def _build_request(host: Host, context: _ProbeContext) -> dict[str, object]:

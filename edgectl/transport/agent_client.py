@@ -69,12 +69,19 @@ def _read_boot_programs() -> bytes:
 
 def build_packet(request: Mapping[str, object], marker: str, timeout: float, agent: bytes = b"") -> bytes:
     """The standard input of one request: programs, head, request, and ``agent``, compressed."""
+    return _read_boot_programs() + build_conversed_packet(request, marker, timeout, agent)
+
+
+def build_conversed_packet(
+    request: Mapping[str, object], marker: str, timeout: float, agent: bytes = b""
+) -> bytes:
+    """`build_packet` without the programs, which an agent that stays does not need."""
     body = json.dumps(request, allow_nan=False).encode()
     key = _CACHE_KEYS.get(str(request.get("fleet")), _PROCESS_KEY)
     operation = request["op"] if protocol.is_name(request.get("op")) else "unknown"
     packed = _pack_agent(agent) if agent else b""
     head = f"{marker} {compute_agent_hash()} {len(body)} {len(packed)} {timeout:.3f} {key} {operation}\n"
-    return _read_boot_programs() + head.encode() + body + packed
+    return head.encode() + body + packed
 
 
 @cache

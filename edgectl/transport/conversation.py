@@ -24,6 +24,7 @@ from edgectl.errors import ConnectError, DeadlineError, HostError, ReplyError
 from edgectl.model.inventory import Connection, Host
 from edgectl.transport.agent_client import (
     build_agent_command,
+    build_conversed_packet,
     build_packet,
     check_reply,
     parse_reply_json,
@@ -53,6 +54,8 @@ REST_S = 10.0
 # Conversations in a row that were of no use. A busy host may say its first word too late, the agent may be
 # elsewhere since its file was removed, and a wrapper that reads its input to the end never says one.
 _MAX_FRUITLESS = 3
+# What a heartbeat may take on the host.
+_HEARTBEAT_S = 10.0
 # At least so often its thread looks, though nobody wakes it.
 _LOOK_EACH_S = 60.0
 # Of an end of the conversation that waits for others.
@@ -110,6 +113,8 @@ class Conversation:
         # The same, where it is one that can rest.
         self._resting: RestingExchange | None = None
         self._questions: dict[int, _Question | ReadingFeed] = {}
+        # Of these, how many somebody waits for.
+        self._awaited = 0
         self._numbers = itertools.count(1)
         # By operation: how many were refused in a row, and when a call of it ended since (s, monotonic).
         self._refused: dict[bytes, tuple[int, float]] = {}
@@ -148,6 +153,7 @@ class Conversation:
             if not self._open or exchange is None:
                 return None
             self._questions[number] = question
+            self._awaited += 1
             self._let_rest()
         try:
             with exchange.expect_reply(timeout=timeout, limit=limit):
@@ -159,14 +165,34 @@ class Conversation:
             with self._lock:
                 if feed is None or not feed.whole:
                     self._questions.pop(number, None)
+                self._awaited -= 1
                 self._used_at = time.monotonic()
                 self._let_rest()
         self._note_refusal(packet, asked_at, refused=question.refused)
         if changes and not question.whole and not question.refused:
             raise ConnectError("the agent ended before it had replied")
         if feed is not None and feed.whole:
-            feed.drop, feed.take_up = lambda: self._drop(exchange, number), self._take_up
+            feed.drop, feed.take_up = partial(self._drop, exchange, number), self._take_up
+            feed.send_heartbeat = partial(self._send_heartbeat, exchange, _build_heartbeat(packet))
         return bytes(question.output) if question.whole else None
+
+    def _send_heartbeat(self, exchange: OpenExchange, request: Mapping[str, object]) -> ReadingFeed | None:
+        """Send a request for which nobody waits, and return what takes its reply.
+
+        None where it cannot be sent without a wait.
+        """
+        sent = ReadingFeed(marker=secrets.token_hex(16), limit=frames.MAX_FRAME_BYTES)
+        packet = build_conversed_packet(request, sent.marker, _HEARTBEAT_S)
+        with self._lock:
+            if not self._open or self._writing.locked() or not exchange.can_write():
+                return None
+            number = next(self._numbers)
+            self._questions[number] = sent
+        sent.drop, sent.take_up = partial(self._drop, exchange, number), self._take_up
+        # A part of it ends the conversation, and with it what was to take the reply.
+        with contextlib.suppress(HostError):
+            self._say(exchange, frames.build_frame(frames.ASK, number, packet), frames.SILENCE_S)
+        return sent
 
     def _note_refusal(self, packet: bytes, asked_at: float, *, refused: bool) -> None:
         """End after many requests of one operation that the agent did not take."""
@@ -339,8 +365,7 @@ class Conversation:
     def _let_rest(self) -> None:
         """Let the thread sleep while nobody waits for what may come; with the lock."""
         if self._resting is not None:
-            asked = (not (isinstance(each, ReadingFeed) and each.whole) for each in self._questions.values())
-            self._resting.rest(resting=not any(asked))
+            self._resting.rest(resting=not self._awaited)
 
     def _pulse(self, exchange: OpenExchange) -> float:
         """Send a pulse; where that may have to wait, from another thread, so that no other host waits. The
@@ -596,6 +621,12 @@ def _compute_left(deadline: float) -> float:
     if left <= 0:
         raise DeadlineError("no time is left")
     return left
+
+
+def _build_heartbeat(packet: bytes) -> dict[str, object]:
+    """The request for no readings, by the manager and to the host of a request for some."""
+    asked = json.loads(packet.partition(b"\n")[2])
+    return {**{key: asked[key] for key in ("op", "fleet", "host")}, "rounds": 0}
 
 
 def _build_greeting(fleet: str, host: str) -> dict[str, object]:

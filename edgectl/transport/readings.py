@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from edgectl.agent.link import protocol
 from edgectl.errors import ReplyError
 from edgectl.transport.agent_client import parse_reply_json, split_frame
+from edgectl.transport.base import trace_call
 
 # A host says something each `protocol.READING_SAID_S`; half as much later it is asked.
 SILENT_S = 1.5 * protocol.READING_SAID_S
@@ -35,7 +36,8 @@ class ReadingFeed:
     """The replies to one request for readings, under way in a conversation (`conversation.Conversation`).
 
     ``limit``: bytes of all of them; beyond it ends. ``drop``: tells the host that nobody listens any more.
-    ``take_up``: adds what has come meanwhile, without a wait.
+    ``take_up``: adds what has come meanwhile, without a wait. ``send_heartbeat``: sends its host a request
+    that is a heartbeat alone, and returns what takes the reply; None where that may have to wait.
     ``ended``: the first reply has come, or none will; ``whole``: ``output`` is that reply.
     """
 
@@ -49,6 +51,7 @@ class ReadingFeed:
     reading: Reading | None = None
     drop: Callable[[], None] | None = None
     take_up: Callable[[], None] | None = None
+    send_heartbeat: "Callable[[], ReadingFeed | None] | None" = None
     _buffer: bytes = b""
     _received: int = 0
 
@@ -128,6 +131,8 @@ class ReadingFeeds:
 
     def __init__(self) -> None:
         self._feeds: dict[str, ReadingFeed] = {}
+        # By host: the heartbeat that was sent last, until its reply was looked at.
+        self._heartbeats: dict[str, ReadingFeed] = {}
 
     def put(self, host: str, feed: ReadingFeed) -> None:
         """Use ``feed`` for ``host`` instead of the one before."""
@@ -138,10 +143,37 @@ class ReadingFeeds:
         """The feed of a host, if it has one."""
         return self._feeds.get(host)
 
+    def send_heartbeat(self, host: str) -> bool:
+        """Send a host that has a feed a heartbeat over its connection; False where that may have to wait."""
+        feed = self._feeds.get(host)
+        if feed is None or feed.send_heartbeat is None:
+            return False
+        with trace_call(host, "heartbeat"):
+            sent = feed.send_heartbeat()
+        if sent is not None:
+            self._heartbeats[host] = sent
+        return sent is not None
+
+    def take_up_heartbeat(self, host: str) -> ReadingFeed | None:
+        """The heartbeat under way to a host, with what has come of its reply; with that it is no longer under
+        way.
+        """
+        sent = self._heartbeats.get(host)
+        if sent is not None and sent.take_up is not None:
+            sent.take_up()
+        if sent is not None and sent.whole:
+            del self._heartbeats[host]
+        return sent
+
     def drop(self, host: str) -> None:
         """Listen no longer to a host."""
-        feed = self._feeds.pop(host, None)
-        if feed is not None and not feed.is_over:
-            feed.end(whole=False)
-            if feed.drop is not None:
-                feed.drop()
+        _end_feed(self._heartbeats.pop(host, None))
+        _end_feed(self._feeds.pop(host, None))
+
+
+def _end_feed(feed: ReadingFeed | None) -> None:
+    """End a feed, if there is one, and tell its host."""
+    if feed is not None and not feed.is_over:
+        feed.end(whole=False)
+        if feed.drop is not None:
+            feed.drop()

@@ -34,8 +34,8 @@ CHANNEL_PAUSES_S = (0.02, 0.05, 0.1, 0.3, 1.0)
 _BUSY_PAUSE_S, _TO_TELL_S = 1.0, 0.1
 _CHUNK_BYTES = 65536
 _LOST_HINT = "try again; the host may have restarted"
-# More than a pulse has.
-_FEW_BYTES = 64
+# More than a pulse or a heartbeat has.
+_FEW_BYTES = 1024
 # Of a log, between two reads: the window of a channel and as much again, bytes.
 MAX_STREAM_BYTES = 1 << 22
 

@@ -16,7 +16,7 @@ from edgectl.state.heartbeats import load_heartbeats, record_heartbeats
 from edgectl.state.manager_state import load_manager_state
 from edgectl.state.uptime import Uptime
 from edgectl.transport.agent_client import ask_host
-from edgectl.transport.connections import HeartbeatTransport
+from edgectl.transport.connections import HeartbeatCallback, HeartbeatTransport
 from edgectl.usecases.fleet import Fleet
 
 # Two requests closer than this share one heartbeat where each is written before the request is sent.
@@ -32,9 +32,16 @@ def track_heartbeats(fleet: Fleet) -> Iterator[Fleet]:
 
     A heartbeat that cannot be written then is a HostError: the request was not sent.
     """
+    with record_noted_heartbeats(fleet) as note:
+        yield dataclasses.replace(fleet, transport=HeartbeatTransport(fleet.transport, note))
+
+
+@contextlib.contextmanager
+def record_noted_heartbeats(fleet: Fleet) -> Iterator[HeartbeatCallback]:
+    """A function that records a heartbeat of a host, as `track_heartbeats` does."""
     register = _HeartbeatRecorder(fleet)
     try:
-        yield dataclasses.replace(fleet, transport=HeartbeatTransport(fleet.transport, register.note))
+        yield register.note
     finally:
         register.save()
 

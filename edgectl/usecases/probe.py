@@ -18,11 +18,16 @@ from edgectl.state.manager_state import (
     load_manager_state,
     save_link_capacities,
 )
+from edgectl.transport.connections import HeartbeatTransport
 from edgectl.usecases.coordination import find_holder_id, refresh_state
 from edgectl.usecases.doubtful_starts import load_doubtful_starts, not_heard
 from edgectl.usecases.fleet import Fleet, show_nothing
 from edgectl.usecases.fleet_lease import probe_within_lease
-from edgectl.usecases.heartbeat import load_state_with_heartbeats, track_heartbeats
+from edgectl.usecases.heartbeat import (
+    load_state_with_heartbeats,
+    record_noted_heartbeats,
+    track_heartbeats,
+)
 from edgectl.usecases.live_links import measure_live_links
 from edgectl.usecases.measured_demand import load_measured_demands
 from edgectl.usecases.reading_noise import load_reading_noise
@@ -55,7 +60,9 @@ def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
     )
     fenced = load_heartbeats(fleet.state, fleet.warn).fenced
     fleet.history.prepare()
-    with track_heartbeats(fleet) as tracked:
+    with record_noted_heartbeats(fleet) as note:
+        tracked = dataclasses.replace(fleet, transport=HeartbeatTransport(fleet.transport, note))
+        options = dataclasses.replace(options, note_heartbeat=note)
         show = fleet.show_probe if options.on_host is host_probe.ignore_host else show_nothing
         with show(list(fleet.inventory.hosts)) as heard:
             asked = options if heard is None else dataclasses.replace(options, on_host=heard)

@@ -7,6 +7,7 @@ import random
 import select
 import signal
 import socket
+import subprocess
 import sys
 import threading
 import time
@@ -18,7 +19,7 @@ from typing import Any
 
 import pytest
 
-from edgectl.agent.link import frames, protocol
+from edgectl.agent.link import frames, heartbeat, protocol
 from edgectl.agent.measure.probe import WindowMeter
 from edgectl.agent.measure.readings import build_update, merge_update
 from edgectl.agent.supervise import state_dir
@@ -312,6 +313,42 @@ def test_numbers_come_at_most_at_the_rate_of_the_profiler(
     updates = [each for each in read_replies(staying, 1)[1:] if each]
     assert any("memory" in each["changed"] for each in updates)
     assert len(updates) <= most + 1
+
+
+def test_a_request_for_no_rounds_is_a_heartbeat_alone(staying: StayingAgent) -> None:
+    host = staying.host
+    host.start("slam", "exec sleep 600")
+    state_dir.use_fleet([str(host.state)], host.fleet)
+    before = heartbeat.read_last_heartbeat(host.name)
+    staying.ask(1, "readings", rounds=0)
+    assert staying.wait(1) == "0"
+    assert read_replies(staying, 1) == [{}]
+    assert heartbeat.read_last_heartbeat(host.name) > before > 0.0
+
+
+_LOOKING_UP = """
+import sys
+from edgectl.agent.link.boot import Channel
+from edgectl.agent.measure import readings
+
+class Counted(readings.LinkMeter):
+    def __init__(self, request):
+        print("looked up", file=sys.stderr)
+        super().__init__(request)
+
+readings.LinkMeter, readings._LOOK_UP_EACH_S = Counted, 0.5
+request = {"host": "edge1", "window_s": 0.1, "every_s": 0.2, "rounds": 12, "links": [{"robot": "robot1", "address": "localhost"}]}
+readings.send_readings(request, Channel("MARKER"))
+"""
+
+
+def test_names_and_limits_are_looked_up_anew_now_and_then() -> None:
+    """Readings go on for minutes, in which a name may come to stand for another address."""
+    found = subprocess.run(
+        [sys.executable, "-c", _LOOKING_UP], check=True, capture_output=True, text=True, timeout=DEADLINE_S
+    )
+    assert 2 <= found.stderr.count("looked up") <= 6
+    assert '"robot1"' in found.stdout
 
 
 def test_it_ends_after_its_rounds(staying: StayingAgent) -> None:

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Probing all hosts in parallel; a failing host affects only itself."""
 
-import copy
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -26,7 +24,7 @@ from edgectl.gateway.host_probe import DecodedProbe, ProbeOptions, probe_hosts
 from edgectl.gateway.readings import FleetReadings
 from edgectl.model.check import Check, CheckLocation
 from edgectl.model.inventory import Host, Inventory
-from edgectl.model.snapshot import HostSample, HostStatus, Snapshot, TaskState
+from edgectl.model.snapshot import HostSample, HostStatus, TaskState
 from edgectl.model.task import DetectRule, Tasks
 from edgectl.transport.base import Reply, Session
 from edgectl.transport.fake import FakeTransport
@@ -72,43 +70,9 @@ def test_names_are_resolved_once_for_the_cycles_of_readings(monkeypatch: pytest.
     for options in (ProbeOptions(), ProbeOptions(), *[ProbeOptions(readings=kept)] * 3):
         probe_hosts(build_inventory(), NONE, transport, options=options)
     assert sorted(asked) == sorted(["edge1", "edge2", "edge10", "robot1", "robot2"] * 3)
-    monkeypatch.setattr(readings, "_ASK_EACH_S", 0.0)
+    monkeypatch.setattr(readings, "_RESOLVE_EACH_S", 0.0)
     probe_hosts(build_inventory(), NONE, transport, options=ProbeOptions(readings=kept))
     assert len(asked) == 4 * 5
-
-
-def test_what_a_host_that_is_asked_anew_repeats_is_taken_for_the_very_same() -> None:
-    """A watch asks each host twice a minute: what follows from links that are as they were is not done again."""
-    site = an_inventory(an_edge("edge1"), a_robot("robot1", probe=False), a_robot("robot2", probe=False))
-    plain = FakeFleet.of(["edge1"])["edge1"](_request("edge1"))
-    link = {"rx_bytes_per_s": 10.0, "tx_bytes_per_s": 0.0, "rtt_ms": 1.0, "reachable": True}
-    replies = [
-        {
-            **plain,
-            "cpu": {"cores": 4.0, "used_cores": used},
-            "links": {"robot1": link, "robot2": {**link, "rx_bytes_per_s": rate}},
-        }
-        for used, rate in ((0.5, 10.0), (0.5, 10.0), (1.5, 50.0))
-    ]
-
-    def probe(transport: FakeTransport, options: ProbeOptions) -> Snapshot:
-        seen = probe_hosts(site, NONE, transport, options=options, clock=lambda: NOW)
-        # Its age is the time that passed since.
-        return replace(
-            seen, hosts={name: replace(sample, sample_age_s=0.0) for name, sample in seen.hosts.items()}
-        )
-
-    asked = iter(copy.deepcopy(replies))
-    transport = FakeTransport({"edge1": lambda _request: next(asked)})
-    kept = ProbeOptions(readings=FleetReadings[DecodedProbe](ReadingFeeds(), every=1.0))
-    found = [probe(transport, kept) for _ in replies]
-    first, second, third = (each.hosts["edge1"] for each in found)
-    assert second.usage["cpu"] is first.usage["cpu"]
-    assert all(second.links[robot] is first.links[robot] for robot in ("robot1", "robot2"))
-    assert third.links["robot1"] is first.links["robot1"]
-    anew = iter(replies)
-    alone = FakeTransport({"edge1": lambda _request: next(anew)})
-    assert found == [probe(alone, ProbeOptions()) for _ in replies]
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 """Requests over an agent that stays, on real hosts: the same replies, and a call of its own for all that fails."""
 
 import itertools
+import json
 import os
 import queue
 import signal
@@ -729,6 +730,58 @@ def test_a_reader_sleeps_on_while_its_readings_are_taken_up(monkeypatch: pytest.
         monkeypatch.setattr(RestingScript, "arrived_at", said + 1.0)
         exchange._said.put(frames.build_frame(frames.OUTPUT, 2, frame_reply("0" * 32, {})))
         until(lambda: exchange.awoke > awoke + 1)
+
+
+def begin_readings(session: ConversingSession, scripted: ScriptedSession) -> RestingScript:
+    """Ask for readings over a conversation, whose line it returns."""
+    until_shared(session)
+    scripted.opened[0]._answer = answer_with_readings
+    session.run(build_agent_command("python3"), READINGS, timeout=ANSWERS_S, limit=1000)
+    (exchange,) = scripted.opened
+    assert isinstance(exchange, RestingScript)
+    return exchange
+
+
+def test_a_heartbeat_goes_over_the_conversation_and_nobody_waits_for_it() -> None:
+    feeds: list[ReadingFeed] = []
+    asked: list[bytes] = []
+    scripted = ScriptedSession(answer_well, RestingScript)
+    with closing(ConversingSession(scripted, feeds.append)) as session:
+        exchange = begin_readings(session, scripted)
+        (feed,) = feeds
+
+        def listen(word: str, _number: int, body: bytes) -> bytes:
+            asked.extend([body] if word == frames.ASK else [])
+            return b""
+
+        exchange._answer = listen
+        assert feed.take_up is not None
+        assert feed.send_heartbeat is not None
+        first = feed.send_heartbeat()
+        assert first is not None
+        assert exchange.rested[-1]
+        head, _, request = asked[0].partition(b"\n")
+        assert head.split()[0] == first.marker.encode() != b"0" * 32
+        assert int(head.split()[2]) == len(request)
+        assert json.loads(request) == {"op": "readings", "fleet": "lab", "host": "edge1", "rounds": 0}
+        exchange._said.put(frames.build_frame(frames.OUTPUT, 3, frame_reply(first.marker, {})))
+        until(lambda: feed.take_up() or first.whole)  # type: ignore[misc]
+        exchange._said.put(frames.build_frame(frames.END, 3, b"0"))
+        until(lambda: feed.take_up() or first.is_over)  # type: ignore[misc]
+        assert first.whole
+        second = feed.send_heartbeat()
+        assert second is not None
+        exchange._said.put(frames.build_frame(frames.REFUSED, 4))
+        until(lambda: feed.take_up() or second.is_over)  # type: ignore[misc]
+        assert not second.whole
+        scripted.free = False
+        assert feed.send_heartbeat() is None
+        scripted.free = True
+        third = feed.send_heartbeat()
+        assert third is not None
+    assert third.is_over
+    assert not third.whole
+    assert feed.send_heartbeat() is None
 
 
 def test_a_near_host_gets_its_pulses_at_a_slower_pace() -> None:

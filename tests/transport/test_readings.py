@@ -11,10 +11,13 @@ from typing import Any, cast
 
 import pytest
 
+from edgectl.agent.supervise import records
+from edgectl.gateway import readings as fleet_readings
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.cycle import Cycle
 from edgectl.model.inventory import Capacity, Connection, Host
 from edgectl.model.snapshot import Snapshot
+from edgectl.state.heartbeats import load_heartbeats
 from edgectl.transport import readings
 from edgectl.transport.base import listen_to_calls
 from edgectl.transport.fake import frame_reply
@@ -158,13 +161,13 @@ class Watch:
     """A watch of real hosts; ``asked``: the requests of the last cycle."""
 
     def __init__(self, tmp_path: Path, *hosts: Host, apply: bool, timeout: float) -> None:
-        self.transport, state = CountingTransport(), tmp_path / "manager"
-        state.mkdir()
+        self.transport, self.state = CountingTransport(), tmp_path / "manager"
+        self.state.mkdir()
         site = usecases.Fleet(
             inventory=an_inventory(*hosts, probe_links=False),
             tasks=some_tasks(),
             transport=self.transport,
-            state=state,
+            state=self.state,
         )
         options = WatchOptions(every=0.3, apply=apply, probe=ProbeOptions(window=0.05, timeout=timeout))
         self.cycles: Generator[Cycle, None, None] = watch_fleet(site, options)
@@ -228,6 +231,54 @@ def test_a_cycle_needs_no_request_and_sees_what_changes(hosts: list[Host], lab: 
         )
     until(lambda: not any(list_agents(lab[host.name].directory) for host in hosts))
     until(lambda: not list_threads())
+
+
+def test_a_host_has_heartbeats_for_which_no_cycle_waits(
+    hosts: list[Host], lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The manager's record of them is never behind that of the host, which stops its tasks by its own."""
+    monkeypatch.setattr(fleet_readings, "_HEARTBEAT_EACH_S", 1.0)
+    name, other = hosts[0].name, Fleet(*hosts)
+    with other.pool, watching(tmp_path, *hosts) as watch:
+        other.ask(
+            "start",
+            task="slam",
+            instance="i1",
+            generation=1,
+            spec=a_spec("exec sleep 600", runtime="process"),
+        )
+        watch.until_quiet()
+        (file,) = lab[name].directory.rglob("contact")
+        for _ in range(3):
+            before = read_at(file)
+            watch.until(lambda _, before=before: read_at(file) > before)  # type: ignore[misc]
+            assert {operation for _, operation in watch.asked} <= {"heartbeat"}, watch.asked
+            later = read_at(file)
+            # It was recorded before it was sent, and is again once it has been replied to.
+            assert before < load_heartbeats(watch.state).last[name].seconds
+            watch.until(lambda _, at=later: load_heartbeats(watch.state).last[name].seconds >= at)  # type: ignore[misc]
+        other.stop()
+    until(lambda: not list_threads())
+
+
+def read_at(file: Path) -> float:
+    """When a host had its last heartbeat, in seconds since boot."""
+    return float(records.read_record(str(file))["at"])
+
+
+@pytest.mark.parametrize("hosts", [Connection.SSH], indirect=True)
+def test_a_host_that_refuses_heartbeats_is_asked(
+    hosts: list[Host], lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An agent that stays refuses all requests once its file is gone; a call brings a new one."""
+    monkeypatch.setattr(fleet_readings, "_HEARTBEAT_EACH_S", 1.0)
+    name = hosts[0].name
+    with watching(tmp_path, *hosts) as watch:
+        watch.until_quiet()
+        (file,) = lab[name].directory.rglob("*.pyz")
+        file.unlink()
+        watch.until(lambda found: (name, "readings") in watch.asked and found.hosts[name].ok)
+        assert file.exists()
 
 
 def test_a_host_that_is_gone_is_noticed_and_costs_the_others_nothing(

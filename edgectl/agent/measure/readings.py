@@ -46,6 +46,8 @@ _TRAFFIC_KEY, _TRAFFIC_NOISE = "links", (10e3, 0.05)
 _AGE_KEYS, _AGE_NOISE_S = ("age_s", "ended_s", "joined_s", "wall"), 0.5
 # Of the measurement itself; and what has names of others as its keys, and no noise.
 _IGNORED_KEYS, _EXACT_KEYS = ("window_s", "sample_age_s"), ("metrics", "latencies", "totals")
+# Addresses of names, and limits of control groups, are looked up anew after so long (s).
+_LOOK_UP_EACH_S = 30.0
 # What the last probe of many may take (s).
 _LAST_REPLY_S = 30.0
 
@@ -58,11 +60,16 @@ def measure_once(request: Document) -> Document:
 def send_readings(request: Document, channel: "Channel") -> None:
     """Reply to a probe, and measure again each ``every_s`` until there were ``rounds``, or nobody reads.
 
+    A request for no rounds is a heartbeat alone.
+
     OSError where the reader has gone.
     """
+    if not request["rounds"]:
+        channel.reply(b"{}")
+        return
     every, rounds, began = float(request["every_s"]), int(request["rounds"]), time.monotonic()
     # Windows without gaps: half the reads, and what is short counts too.
-    meter = WindowMeter(request, LinkMeter(request))
+    meter, looked_up_at = WindowMeter(request, LinkMeter(request)), began
     base, base_sample = probe_again(request, meter), meter.sample_at
     base_at = said_at = time.monotonic()
     channel.reply(dumps(base).encode("ascii"))
@@ -71,6 +78,9 @@ def send_readings(request: Document, channel: "Channel") -> None:
     for number in range(1, rounds):
         # What took too long is not made up for.
         _pause(channel.fd, max(began + number * every, time.monotonic() + every / 2))
+        if time.monotonic() - looked_up_at >= _LOOK_UP_EACH_S:
+            meter.close()
+            meter, looked_up_at = WindowMeter(request, LinkMeter(request)), time.monotonic()
         now = probe_again(request, meter)
         at = time.monotonic()
         is_new = not meter.sample_at or meter.sample_at != base_sample
