@@ -19,9 +19,11 @@ Request = dict[str, object]
 Addresses = tuple[dict[str, str], dict[str, str]]
 Document = dict[str, object]
 Known = tuple[Mapping[str, object], Value] | None
-# A host is asked anew after so long, and it has a heartbeat after so long; up to half as much later, not all
-# hosts in one cycle (s). By requests a host knows that its manager is there; what it sends is no heartbeat.
-_ASK_EACH_S, _HEARTBEAT_EACH_S = 300.0, 30.0
+# A host is asked anew after so long, and up to half as much later: not all hosts in one cycle (s).
+_ASK_EACH_S = 300.0
+# It has a heartbeat after one of these times, with a part of the others: the record is written for all at
+# once (s). By requests a host knows that its manager is there; what it sends is no heartbeat.
+_HEARTBEATS_EACH_S = (30.0, 35.0, 40.0, 45.0)
 # A host that has not taken it, or not replied to it, so much later is asked (s).
 _LATE_S = 10.0
 # Names may come to stand for other addresses (s).
@@ -72,7 +74,8 @@ class FleetReadings(Generic[Value]):
     def build_request(self, host: str, build: Callable[[], Request]) -> Request:
         """The request for the readings of a host, made of that for a probe."""
         if host not in self._requests:
-            rounds = max(1, int(_spread(_ASK_EACH_S, host) / self._every))
+            spread = 1.0 + _compute_number(host) % 64 / 128
+            rounds = max(1, int(_ASK_EACH_S * spread / self._every))
             wanted = {"op": protocol.OP_READINGS, "every_s": self._every, "rounds": rounds}
             self._requests[host] = {**build(), **wanted}
         return self._requests[host]
@@ -102,13 +105,14 @@ class FleetReadings(Generic[Value]):
     def _keep_heartbeat(self, host: str) -> bool:
         """Send a heartbeat where one is due; False where a host does not take them."""
         sent, now, due = self._feeds.take_up_heartbeat(host), time.monotonic(), self._due[host]
-        if sent is None and now >= due:
+        # In the nearest cycle: those of a part are due within milliseconds of each other.
+        if sent is None and now >= due - self._every / 2:
             self._note(host)
             if self._feeds.send_heartbeat(host):
                 due = self._due[host] = now
         elif sent is not None and sent.whole:
             self._note(host)
-            due = self._due[host] = now + _spread(_HEARTBEAT_EACH_S, host)
+            due = self._due[host] = now + _choose_heartbeat_s(host)
         elif sent is not None and sent.is_over:
             return False
         return now < due + _LATE_S
@@ -123,7 +127,7 @@ class FleetReadings(Generic[Value]):
         silent_s = 0.0 if feed is None or feed.is_over else feed.silent_s
         self.drop(host)
         self._asked[host] = request
-        self._due[host] = time.monotonic() + _spread(_HEARTBEAT_EACH_S, host)
+        self._due[host] = time.monotonic() + _choose_heartbeat_s(host)
         return silent_s
 
     def drop(self, host: str) -> None:
@@ -153,6 +157,11 @@ def _note_nothing(_host: str) -> None:
     """Note no heartbeat."""
 
 
-def _spread(seconds: float, host: str) -> float:
-    """So long and up to half as much longer, by the name of the host."""
-    return seconds * (1.0 + zlib.crc32(host.encode()) % 64 / 128)
+def _compute_number(host: str) -> int:
+    """A number by which hosts are spread."""
+    return zlib.crc32(host.encode())
+
+
+def _choose_heartbeat_s(host: str) -> float:
+    """Seconds from one heartbeat of a host to the next."""
+    return _HEARTBEATS_EACH_S[_compute_number(host) % len(_HEARTBEATS_EACH_S)]

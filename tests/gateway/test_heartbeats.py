@@ -142,3 +142,28 @@ def test_a_late_cycle_takes_the_reply_first(pass_s: Callable[[float], None]) -> 
     pass_s(60.0)
     assert host.is_known()
     assert host.noted == 2
+
+
+def test_the_heartbeats_of_a_fleet_are_in_few_cycles_and_not_all_in_one(
+    pass_s: Callable[[float], None],
+) -> None:
+    """The manager's record is written once for those of a cycle."""
+    names = [f"edge{number}" for number in range(64)]
+    sent: list[str] = []
+    fleet = FleetReadings[object](ReadingFeeds(), every=1.0)
+    fleet.begin_cycle((), sent.append)
+    for name in names:
+        fleet.ask_anew(name, REQUEST)
+        feed = ReadingFeed(marker=MARKER, limit=1000)
+        feed.add(frame_reply(MARKER, {"v": 1}))
+        feed.send_heartbeat = lambda: ReadingFeed(marker=MARKER, limit=1000)
+        fleet._feeds.put(name, feed)
+    counts = []
+    for _ in range(46):
+        pass_s(1.0)
+        before = len(sent)
+        assert all(fleet.find(name, REQUEST) is not None for name in names if name not in sent)
+        counts.append(len(sent) - before)
+    assert sorted(sent) == sorted(names)
+    assert sum(count > 0 for count in counts) <= 4
+    assert max(counts) <= 32

@@ -237,7 +237,7 @@ def test_a_host_has_heartbeats_for_which_no_cycle_waits(
     hosts: list[Host], lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The manager's record of them is never behind that of the host, which stops its tasks by its own."""
-    monkeypatch.setattr(fleet_readings, "_HEARTBEAT_EACH_S", 1.0)
+    monkeypatch.setattr(fleet_readings, "_HEARTBEATS_EACH_S", (1.0,))
     name, other = hosts[0].name, Fleet(*hosts)
     with other.pool, watching(tmp_path, *hosts) as watch:
         other.ask(
@@ -271,7 +271,7 @@ def test_a_host_that_refuses_heartbeats_is_asked(
     hosts: list[Host], lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An agent that stays refuses all requests once its file is gone; a call brings a new one."""
-    monkeypatch.setattr(fleet_readings, "_HEARTBEAT_EACH_S", 1.0)
+    monkeypatch.setattr(fleet_readings, "_HEARTBEATS_EACH_S", (1.0,))
     name = hosts[0].name
     with watching(tmp_path, *hosts) as watch:
         watch.until_quiet()
