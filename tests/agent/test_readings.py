@@ -14,6 +14,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ import pytest
 
 from edgectl.agent.link import frames, heartbeat, protocol
 from edgectl.agent.measure.probe import WindowMeter
-from edgectl.agent.measure.readings import build_update, merge_update
+from edgectl.agent.measure.readings import build_update, list_waiting, merge_update
 from edgectl.agent.supervise import state_dir
 from edgectl.transport.agent_client import split_frame
 from tests.agent.conftest import AgentHost, Profiled, eventually, is_running
@@ -105,9 +106,58 @@ def test_without_a_new_sample_of_the_profiler_states_alone_are_sent(
 ) -> None:
     now = change(path, other)
     now["cpu"]["used_cores"] += 1.0
-    update = build_update(BEFORE, now, 1.0, is_new=False)
+    update = build_update(BEFORE, now, 1.0, list_waiting(BEFORE, now, is_new=False, is_due=True))
     assert bool(update) == sent
     assert not sent or merge_update(BEFORE, update) == now, "then with all that is known now"
+
+
+def count_ticks(draw: random.Random, cores: float, used_cores: float) -> dict[str, Any]:
+    """Return the probe of a host without tasks whose kernel has looked 250 times a second, for one second."""
+    busy = sum(draw.random() < used_cores / cores for _ in range(round(250 * cores)))
+    return {
+        **BEFORE,
+        "tasks": {},
+        "window_s": 1.0,
+        "load_1m": 0.0,
+        "cpu": {"cores": cores, "used_cores": busy / 250},
+    }
+
+
+@pytest.mark.parametrize(("cores", "used_cores"), [(2.0, 0.3), (2.0, 1.0), (4.0, 3.5), (8.0, 4.0)])
+def test_cpu_whose_change_the_ticks_of_the_kernel_explain_waits_until_something_is_due(
+    cores: float, used_cores: float
+) -> None:
+    draw = random.Random(1)
+    sent, sent_when_due = 0, 0
+    for _ in range(400):
+        before, now = count_ticks(draw, cores, used_cores), count_ticks(draw, cores, used_cores)
+        now["load_1m"] = draw.uniform(0.0, 64.0)
+        for is_due in (False, True):
+            update = build_update(before, now, 0.0, list_waiting(before, now, is_new=True, is_due=is_due))
+            sent, sent_when_due = (
+                sent + (bool(update) and not is_due),
+                sent_when_due + (bool(update) and is_due),
+            )
+    assert sent <= 0.1 * 400
+    assert sent_when_due >= 0.9 * 400, "with the load average"
+    before, now = count_ticks(draw, cores, used_cores), count_ticks(draw, cores, used_cores / 2)
+    now["load_1m"] = 64.0
+    update = build_update(before, now, 0.0, list_waiting(before, now, is_new=True, is_due=False))
+    assert update["changed"] == {"cpu": now["cpu"], "load_1m": 64.0}
+
+
+def test_cpu_does_not_wait_where_tasks_are_nor_where_it_is_a_mean_of_a_profiler() -> None:
+    """How much it varies decides when a task leaves a host; a profiler has smoothed it."""
+    now = {**BEFORE, "cpu": {"cores": 4.0, "used_cores": 1.1}}
+    for other, waits in (
+        ({"tasks": {}}, True),
+        ({}, False),
+        ({"tasks": {}, "window_s": 0.0}, False),
+        ({"tasks": {}, "window_s": 60.0}, False),
+        ({"tasks": {}, "cpu": {"cores": 0.0, "used_cores": 1.1}}, False),
+    ):
+        waiting = list_waiting(BEFORE, {**now, **other}, is_new=True, is_due=False)
+        assert ("used_cores" in waiting) == waits, other
 
 
 def test_entries_and_keys_that_come_and_go_are_sent() -> None:
@@ -349,6 +399,36 @@ def test_names_and_limits_are_looked_up_anew_now_and_then() -> None:
     )
     assert 2 <= found.stderr.count("looked up") <= 6
     assert '"robot1"' in found.stdout
+
+
+_LOADED = """
+import itertools, sys, time
+from edgectl.agent.link.boot import Channel
+from edgectl.agent.measure import device, readings
+
+class Timed(Channel):
+    def reply(self, payload):
+        print(time.monotonic(), payload.decode(), file=sys.stderr)
+
+loads = itertools.count(1)
+device.read_load_1m = lambda: 2.0 ** next(loads)
+request = {"host": "edge1", "window_s": 0.1, "every_s": 0.1, "rounds": 100}
+readings.send_readings(request, Timed("MARKER"))
+"""
+
+
+def test_a_load_average_alone_is_no_reason_to_send_before_something_is_due() -> None:
+    """Of a busy machine other values may change in each round."""
+    found = subprocess.run(
+        [sys.executable, "-c", _LOADED], check=True, capture_output=True, text=True, timeout=DEADLINE_S
+    )
+    words = [line.split(" ", 1) for line in found.stderr.splitlines()]
+    first, *updates = [(float(at), json.loads(said)) for at, said in words]
+    assert first[1]["load_1m"] == 2.0
+    assert [said["changed"]["load_1m"] for _, said in updates if said], "with all that is sent"
+    for (before, _), (at, said) in pairwise([first, *updates]):
+        others = said["changed"].keys() - {"load_1m", "wall"}
+        assert others or said["entries"] or at - before >= protocol.READING_SAID_S - 0.1
 
 
 def test_it_ends_after_its_rounds(staying: StayingAgent) -> None:

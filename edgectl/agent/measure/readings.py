@@ -3,7 +3,8 @@
 
 The first reply is a whole one. A later one has ``changed``: the keys that differ from what was sent before,
 by more than the noise, and ``entries``: of a key that has an entry for each name, those that differ; or it is
-empty, now and then: everything is as it was. Until a profiler has a new sample, numbers with a noise wait.
+empty, now and then: everything is as it was. Some numbers wait until then (ADR 212), and until a profiler has
+a new sample all do that have a noise.
 """
 
 import _signal as signal
@@ -42,6 +43,13 @@ _NOISE = {
 }
 # The traffic of a task by robot: its keys are names.
 _TRAFFIC_KEY, _TRAFFIC_NOISE = "links", (10e3, 0.05)
+# Numbers that are no reason to send: without a new sample of a profiler; of what no plan is made; and of what
+# may be the same.
+_SAMPLED_KEYS = frozenset([*_NOISE, _TRAFFIC_KEY])
+_SHOWN_KEYS = frozenset(["load_1m"])
+_SHOWN_AND_CPU_KEYS = _SHOWN_KEYS | {"used_cores"}
+# Most kernels have 250 ticks a second, and count the CPU in use by who has it at each of them.
+_TICK_S = 0.004
 # Seconds, which go on by themselves; another beginning differs by more.
 _AGE_KEYS, _AGE_NOISE_S = ("age_s", "ended_s", "joined_s", "wall"), 0.5
 # Of the measurement itself; and what has names of others as its keys, and no noise.
@@ -83,11 +91,13 @@ def send_readings(request: Document, channel: "Channel") -> None:
             meter, looked_up_at = WindowMeter(request, LinkMeter(request)), time.monotonic()
         now = probe_again(request, meter)
         at = time.monotonic()
+        is_due = at - said_at + every / 2 >= protocol.READING_SAID_S
         is_new = not meter.sample_at or meter.sample_at != base_sample
-        said = build_update(base, now, at - base_at, is_new)
+        waiting = list_waiting(base, now, is_new=is_new, is_due=is_due)
+        said = build_update(base, now, at - base_at, waiting)
         if said:
             base, base_at, base_sample = merge_update(base, said), at, meter.sample_at
-        elif at - said_at + every / 2 < protocol.READING_SAID_S:
+        elif not is_due:
             continue
         channel.reply(dumps(said).encode("ascii"))
         said_at = at
@@ -101,15 +111,36 @@ def _pause(fd: int, until: float) -> None:
         raise BrokenPipeError(os.strerror(32))
 
 
-def build_update(before: Document, now: Document, elapsed: float, is_new: bool = True) -> Document:
+def list_waiting(before: Document, now: Document, *, is_new: bool, is_due: bool) -> "frozenset[str]":
+    """The keys of numbers that are no reason to send. ``is_new``: not of the same sample of a profiler;
+    ``is_due``: something must be said.
+
+    The CPU in use is one of them while it has changed by no more than ticks explain: they are a sample of
+    the time, so two readings of the same load differ by twice the standard deviation of their difference, or
+    less, 19 times of 20. Not where tasks are: plans weigh how much readings vary there (ADR 83).
+    """
+    if not is_new:
+        return _SAMPLED_KEYS
+    if is_due:
+        return frozenset()
+    was, found, ticks = before["cpu"]["used_cores"], now["cpu"], now["window_s"] / _TICK_S
+    if now["tasks"] or not ticks or not found["cores"]:
+        return _SHOWN_KEYS
+    used = (was + found["used_cores"]) / 2
+    variance = 2 * used * max(0.0, 1.0 - used / found["cores"]) / ticks
+    return _SHOWN_AND_CPU_KEYS if (found["used_cores"] - was) ** 2 <= 4 * variance else _SHOWN_KEYS
+
+
+def build_update(
+    before: Document, now: Document, elapsed: float, waiting: "frozenset[str]" = frozenset()
+) -> Document:
     """Build what is sent of the probe ``now``, ``elapsed`` s after what was sent ``before``: {} where it says
     the same.
 
-    ``is_new``: not of the same sample of a profiler; else numbers with a noise alone are no reason to send.
-    A key is sent where its value would be wrong as it was: by more than its noise, or an age by the time
-    since.
+    ``waiting``: keys of numbers that are sent only together with others. A key is sent where its value would
+    be wrong as it was: by more than its noise, or an age by the time since.
     """
-    if not _differs("", before, now, elapsed, is_new):
+    if not _differs("", before, now, elapsed, waiting):
         return {}
     changed: Document = {}
     entries: Document = {}
@@ -148,9 +179,11 @@ def merge_update(before: Document, update: Document) -> Document:
     return merged
 
 
-def _differs(key: str, before: "Any", now: "Any", elapsed: float = 0.0, is_new: bool = True) -> bool:
-    """Whether a value differs by more than its noise; ``key``: under which it stands. One that has a noise
-    differs only where it ``is_new``.
+def _differs(
+    key: str, before: "Any", now: "Any", elapsed: float = 0.0, waiting: "frozenset[str]" = frozenset()
+) -> bool:
+    """Whether a value differs by more than its noise; ``key``: under which it stands. A number ``waiting``
+    does not.
     """
     if before == now or key in _IGNORED_KEYS:
         return False
@@ -163,13 +196,13 @@ def _differs(key: str, before: "Any", now: "Any", elapsed: float = 0.0, is_new: 
                 before[name],
                 value,
                 elapsed,
-                is_new,
+                waiting,
             )
             for name, value in now.items()
         )
     if isinstance(before, list) and isinstance(now, list):
         return len(before) != len(now) or any(
-            _differs(key, was, value, elapsed, is_new)
+            _differs(key, was, value, elapsed, waiting)
             for was, value in zip(before, now)  # noqa: B905 - valid for Python 3.6
         )
     if not (_is_number(before) and _is_number(now)):
@@ -177,7 +210,7 @@ def _differs(key: str, before: "Any", now: "Any", elapsed: float = 0.0, is_new: 
     if key in _AGE_KEYS:
         return bool(abs(now - before - elapsed) > _AGE_NOISE_S)
     amount, share = _TRAFFIC_NOISE if key == _TRAFFIC_KEY else _NOISE.get(key, (0.0, 0.0))
-    return (is_new or not amount) and bool(abs(now - before) > max(amount, share * abs(before)))
+    return key not in waiting and bool(abs(now - before) > max(amount, share * abs(before)))
 
 
 def _is_number(value: object) -> bool:
