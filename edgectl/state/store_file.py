@@ -119,8 +119,26 @@ CREATE VIEW link_samples AS
   SELECT at, edge, robot, capacity_bytes_per_s, used_bytes_per_s, rtt_ms, link FROM links
   JOIN all_loads USING (link);
 """
+# They are kept by instant (ADR 213), so a snapshot writes few pages. Who reads a link looks it up under each
+# of the instants, which are few.
+_INSTANTS_SCHEMA = """
+CREATE TABLE new_instants (at REAL PRIMARY KEY) STRICT, WITHOUT ROWID;
+INSERT OR REPLACE INTO loads SELECT * FROM new_loads;
+DROP VIEW link_samples;
+DROP VIEW all_loads;
+DROP TABLE new_loads;
+CREATE TABLE new_loads (
+  link INTEGER NOT NULL, at REAL NOT NULL, capacity_bytes_per_s REAL NOT NULL,
+  used_bytes_per_s REAL NOT NULL, rtt_ms REAL,
+  PRIMARY KEY (at, link)) STRICT, WITHOUT ROWID;
+CREATE VIEW all_loads AS SELECT * FROM loads UNION ALL
+  SELECT new_loads.* FROM new_instants CROSS JOIN new_loads ON new_loads.at = new_instants.at;
+CREATE VIEW link_samples AS
+  SELECT at, edge, robot, capacity_bytes_per_s, used_bytes_per_s, rtt_ms, link FROM links
+  JOIN all_loads USING (link);
+"""
 # Migrations: the statements that each schema adds to the one before.
-_MIGRATIONS = (_BASE_SCHEMA, _METRICS_SCHEMA, _NEW_LOADS_SCHEMA)
+_MIGRATIONS = (_BASE_SCHEMA, _METRICS_SCHEMA, _NEW_LOADS_SCHEMA, _INSTANTS_SCHEMA)
 SCHEMA_VERSION = len(_MIGRATIONS)
 # Columns that are added to a file that lacks them, by table: of a resource that is newer than the file, and
 # of what edgectl did not know before. An edgectl that does not know them reads and writes the others.

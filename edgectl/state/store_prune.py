@@ -8,7 +8,7 @@ import sqlite3
 _SAMPLE_TABLES = {
     "host_samples": ("host", "known_hosts"),
     "loads": ("link", "links"),
-    "new_loads": ("link", "links"),
+    "new_loads": ("at", "new_instants"),
     "uses": ("start", "starts"),
     "readings": ("metric", "metrics"),
 }
@@ -36,6 +36,7 @@ def delete_expired(connection: sqlite3.Connection, *, samples: float, records: f
     connection.execute(
         "DELETE FROM starts WHERE NOT EXISTS (SELECT 1 FROM uses WHERE uses.start = starts.start)"
     )
+    connection.execute("DELETE FROM new_instants WHERE at NOT IN (SELECT at FROM new_loads)")
     connection.execute(
         "DELETE FROM links WHERE NOT EXISTS (SELECT 1 FROM all_loads WHERE all_loads.link = links.link)"
     )

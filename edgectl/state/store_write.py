@@ -21,9 +21,12 @@ _LASTING_KINDS = (EventKind.TASK_DEFERRED, EventKind.TASK_UNPLACED)
 # Tasks that are gone and still known; each probe reads all of them.
 _MAX_GONE_TASKS = 1000
 # Snapshots whose samples of links are moved together, once there are so many.
-_SNAPSHOTS_MOVED = 30
-_COUNT_NEW_LOADS = "SELECT count(*) FROM new_loads WHERE link = ?"
-_MOVE_LOADS = ("INSERT OR REPLACE INTO loads SELECT * FROM new_loads", "DELETE FROM new_loads")
+_SNAPSHOTS_MOVED = 60
+_MOVE_LOADS = (
+    "INSERT OR REPLACE INTO loads SELECT * FROM new_loads ORDER BY link, at",
+    "DELETE FROM new_loads",
+    "DELETE FROM new_instants",
+)
 
 
 LinkNumbers = dict[tuple[str, str], int]
@@ -61,10 +64,8 @@ def _write_link_samples(connection: sqlite3.Connection, snapshot: Snapshot, numb
             for pair, link in found
         ],
     )
-    # One link tells how many snapshots there are; a condition within the statements below would be looked at
-    # for each row: 0.2 ms each.
-    first, _ = found[0]
-    if connection.execute(_COUNT_NEW_LOADS, (numbers[first],)).fetchone()[0] >= _SNAPSHOTS_MOVED:
+    connection.execute("INSERT OR IGNORE INTO new_instants (at) VALUES (?)", (at,))
+    if connection.execute("SELECT count(*) FROM new_instants").fetchone()[0] >= _SNAPSHOTS_MOVED:
         for statement in _MOVE_LOADS:
             connection.execute(statement)
 

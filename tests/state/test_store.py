@@ -178,8 +178,8 @@ def test_a_store_reads_nothing_again_that_it_has_written(tmp_path: Path) -> None
             edge = a_sample(links={"robot2": link, "robot1": link}, tasks={"slam": a_task()})
             store.record_snapshot(a_snapshot(taken_at=NOW + second, edge2=edge, edge1=edge))
             reads = [each for each in asked if each.startswith("SELECT")]
-            # How many samples of a link wait to be moved; others write, too.
-            assert reads.pop() == "SELECT count(*) FROM new_loads WHERE link = 1"
+            # How many snapshots wait to be moved; others write, too.
+            assert reads.pop() == "SELECT count(*) FROM new_instants"
             assert len(reads) == (4 if second == 0 else 0), reads
 
 

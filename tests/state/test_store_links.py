@@ -13,7 +13,7 @@ from edgectl.state.store_write import write_samples
 from tests.builders import NOW, a_sample, a_snapshot
 
 # As many snapshots as are moved together, twice, and some more.
-SNAPSHOTS = 70
+SNAPSHOTS = 130
 
 
 def record(store: Store, second: int, *robots: str) -> None:
@@ -41,16 +41,16 @@ def test_samples_are_read_alike_before_and_after_they_were_moved(tmp_path: Path)
             assert seconds == list(range(second + 1))
         both = store.link_points()
         assert [(point.at - NOW, point.robot) for point in both[-4:]] == [
-            (second, robot) for second in (68, 69) for robot in ("robot2", "robot1")
+            (second, robot) for second in (128, 129) for robot in ("robot2", "robot1")
         ]
         assert [point.at - NOW for point in store.link_points(robot="robot2", limit=45)] == list(
-            range(25, 70)
+            range(85, 130)
         )
-        assert [point.at - NOW for point in store.link_points(robot="robot2", since=NOW + 58)] == list(
-            range(58, 70)
+        assert [point.at - NOW for point in store.link_points(robot="robot2", since=NOW + 118)] == list(
+            range(118, 130)
         )
         shares = [shares for name, shares in store.used_shares("edge1", limit=20) if name == "network"]
-        assert shares == [tuple(second / 100 for second in range(50, 70))] * 2
+        assert shares == [tuple(second / 100 for second in range(110, 130))] * 2
     moved, new = count_rows(tmp_path, "loads"), count_rows(tmp_path, "new_loads")
     assert moved > new > 0
     assert moved + new == count_rows(tmp_path, "link_samples") == 2 * SNAPSHOTS
@@ -59,17 +59,19 @@ def test_samples_are_read_alike_before_and_after_they_were_moved(tmp_path: Path)
 def test_links_that_are_gone_stay_in_the_history_and_expire(tmp_path: Path) -> None:
     with Store.open(tmp_path, retention=Retention(samples_s=1000.0)) as store:
         record(store, 0, "robot1")
-        for second in range(1, 40):
+        for second in range(1, 70):
             record(store, second, "robot2")
         assert [point.at - NOW for point in store.link_points(robot="robot1")] == [0]
-        store.prune(NOW + 1035)
+        store.prune(NOW + 1065)
         assert store.link_points(robot="robot1") == ()
-        assert [point.at - NOW for point in store.link_points()] == [35, 36, 37, 38, 39]
+        assert [point.at - NOW for point in store.link_points()] == [65, 66, 67, 68, 69]
+        assert count_rows(tmp_path, "new_instants") == count_rows(tmp_path, "new_loads") == 5
         store.prune(NOW + 1100)
-    assert [count_rows(tmp_path, table) for table in ("loads", "new_loads", "links")] == [0, 0, 0]
+    tables = ("loads", "new_loads", "new_instants", "links")
+    assert [count_rows(tmp_path, table) for table in tables] == [0, 0, 0, 0]
 
 
-@pytest.mark.parametrize("period", [1, 2, 3, 29, 31, 1000])
+@pytest.mark.parametrize("period", [1, 2, 3, 59, 61, 1000])
 def test_samples_are_moved_whichever_hosts_come_and_go(tmp_path: Path, period: int) -> None:
     """The first edge is there in every ``period``-th snapshot, or not any more, and another one is always new."""
     most, links = 0, {"robot1": LinkSample(capacity_bytes_per_s=100.0, used_bytes_per_s=1.0)}
@@ -82,8 +84,8 @@ def test_samples_are_moved_whichever_hosts_come_and_go(tmp_path: Path, period: i
             store.record_snapshot(Snapshot(taken_at=NOW + second, hosts=hosts))
             most = max(most, count_rows(tmp_path, "new_loads"))
         assert len(store.link_points("edge2")) == 150
-    # Each snapshot has two to four samples; the thirtieth moves them.
-    assert 2 * 29 <= most <= 4 * 60
+    # Each snapshot has two to four samples; the sixtieth moves them.
+    assert 2 * 59 <= most <= 4 * 59
 
 
 def test_a_snapshot_does_not_write_a_page_for_each_link(tmp_path: Path) -> None:
@@ -94,7 +96,7 @@ def test_a_snapshot_does_not_write_a_page_for_each_link(tmp_path: Path) -> None:
     numbers: dict[tuple[str, str], int] = {}
     robots = [f"robot{number}" for number in range(300)]
     written = []
-    for second in range(240):
+    for second in range(300):
         connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         links = {
             robot: LinkSample(capacity_bytes_per_s=1e7, used_bytes_per_s=float(second)) for robot in robots
@@ -104,4 +106,46 @@ def test_a_snapshot_does_not_write_a_page_for_each_link(tmp_path: Path) -> None:
         connection.execute("COMMIT")
         written.append(connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()[1])
     connection.close()
-    assert sum(written[-60:]) / 60 < len(robots) / 3
+    assert sum(written[-120:]) / 120 < len(robots) / 10
+
+
+def test_who_reads_one_link_reads_no_other_one(tmp_path: Path) -> None:
+    connection = open_database(tmp_path / HISTORY_FILE_NAME)
+    try:
+        for view, order in (("link_samples", "DESC"), ("link_samples", "ASC"), ("all_loads", "DESC")):
+            sql = f"SELECT * FROM {view} WHERE link = 7 AND at >= 5.0 ORDER BY at {order} LIMIT 9"
+            steps = [str(row[3]) for row in connection.execute(f"EXPLAIN QUERY PLAN {sql}")]
+            looks = [step for step in steps if step.split()[0] in ("SEARCH", "SCAN")]
+            assert [step for step in looks if step.split()[1] == "loads"] == [
+                "SEARCH loads USING PRIMARY KEY (link=? AND at>?)"
+            ]
+            assert [step for step in looks if step.split()[1] == "new_loads"] == [
+                "SEARCH new_loads USING PRIMARY KEY (at=? AND link=?)"
+            ]
+            assert len([step for step in looks if "new_instants" in step]) == 1
+    finally:
+        connection.close()
+
+
+def test_what_waits_in_a_history_of_schema_3_is_kept(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store:
+        for second in range(70):
+            record(store, second, "robot2", "robot1")
+    connection = sqlite3.connect(tmp_path / HISTORY_FILE_NAME, isolation_level=None)
+    connection.executescript(
+        "CREATE TABLE kept AS SELECT * FROM new_loads; DROP VIEW link_samples; DROP VIEW all_loads; DROP TABLE new_loads;"
+        "DROP TABLE new_instants; PRAGMA user_version = 3;"
+        "CREATE TABLE new_loads (link INTEGER NOT NULL, at REAL NOT NULL, capacity_bytes_per_s REAL NOT NULL,"
+        " used_bytes_per_s REAL NOT NULL, rtt_ms REAL, PRIMARY KEY (link, at)) STRICT, WITHOUT ROWID;"
+        "INSERT INTO new_loads SELECT * FROM kept; DROP TABLE kept;"
+        "CREATE VIEW all_loads AS SELECT * FROM loads UNION ALL SELECT * FROM new_loads;"
+        "CREATE VIEW link_samples AS SELECT at, edge, robot, capacity_bytes_per_s, used_bytes_per_s, rtt_ms, link"
+        " FROM links JOIN all_loads USING (link);"
+    )
+    connection.close()
+    warnings: list[str] = []
+    with Store.open(tmp_path, warn=warnings.append) as store:
+        record(store, 70, "robot2", "robot1")
+        for robot in ("robot1", "robot2"):
+            assert [point.at - NOW for point in store.link_points(robot=robot)] == list(range(71))
+    assert warnings == []

@@ -115,7 +115,7 @@ def an_older_history(directory: Path) -> None:
         store.record_snapshot(a_metrics_snapshot(0, {"fps": 1.0}))
     connection = sqlite3.connect(directory / HISTORY_FILE_NAME, isolation_level=None)
     connection.executescript(
-        "DROP VIEW link_samples; DROP VIEW all_loads; DROP TABLE new_loads; DROP VIEW metric_samples;"
+        "DROP VIEW link_samples; DROP VIEW all_loads; DROP TABLE new_loads; DROP TABLE new_instants; DROP VIEW metric_samples;"
         "DROP TABLE readings; DROP TABLE metrics; PRAGMA user_version = 1;"
         "CREATE VIEW link_samples AS SELECT at, edge, robot, capacity_bytes_per_s, used_bytes_per_s, rtt_ms, link"
         " FROM links JOIN loads USING (link);"
