@@ -60,11 +60,9 @@ def test_every_command_says_it_with_both_figures_and_what_mends_it(run: Run, hog
     for words in (("plan",), ("status",)):
         err = " ".join(run(*words).err.split())
         assert re.search(f"note: {LACKING} note: hog on zeta {SAID}", err), err
-    both, warnings = f"{LACKING}; hog on zeta {SAID}", [""]
-    # One of three: on a busy machine a host may not answer in time, which is a warning, too.
-    while not re.fullmatch(both, warnings[-1]):
-        assert len(warnings) <= 3, warnings
-        warnings.append("; ".join(json.loads(run("status", "-o", "json").out)["warnings"]))
+    both, warnings = f"{LACKING}; hog on zeta {SAID}", json.loads(run("status", "-o", "json").out)["warnings"]
+    assert re.fullmatch(both, "; ".join(warnings)), warnings
+    assert len(warnings) == 2
     assert re.search(LACKING, " ".join(run("doctor").out.split()))
 
     # The event is older than the watch, which says it all the same.
@@ -74,5 +72,5 @@ def test_every_command_says_it_with_both_figures_and_what_mends_it(run: Run, hog
     assert "task-overuse" in run("events").out
     cycle = json.loads(run("watch", "--cycles", "1", "-o", "jsonl").out)
     assert cycle["events"] == []
-    assert re.fullmatch(both, "; ".join(cycle["warnings"]))
+    assert re.fullmatch(both, "; ".join(cycle["warnings"])), cycle["warnings"]
     assert re.search(f"warning: {LACKING}; warning: hog on zeta {SAID}", run("watch", "--cycles", "1").out)
