@@ -153,6 +153,12 @@ class RestingExchange(OpenExchange, Protocol):
         """Whether something has arrived since the last `read`, and reading it waits for nothing."""
         ...
 
+    def hold_writes(self) -> Callable[[], None]:
+        """Hold back the few bytes that are written next until what is returned is called, which must be soon:
+        to send wakes programs up, who take the processor and its caches.
+        """
+        ...
+
     def find_repeat_s(self) -> float | None:
         """Seconds after which the line repeats what was lost; None where nobody knows."""
         ...

@@ -367,26 +367,28 @@ class Conversation:
         if self._resting is not None:
             self._resting.rest(resting=not self._awaited)
 
-    def _pulse(self, exchange: OpenExchange) -> float:
+    def _pulse(self, exchange: OpenExchange) -> tuple[float, Callable[[], None]]:
         """Send a pulse; where that may have to wait, from another thread, so that no other host waits. The
-        seconds until the next one.
+        seconds until the next one, and what lets this one go.
 
         What is being written now is a pulse, too.
         """
+        resting, says = self._resting, False
         waits = self._pulsing is not None and self._pulsing.is_alive()
         if not (waits or self.is_over or self._writing.locked()):
-            waits = not exchange.can_write()
+            says = exchange.can_write()
+            waits = not says
             if waits:
                 self._pulsing = threading.Thread(target=self._say_pulse, args=(exchange,), daemon=True)
                 self._pulsing.start()
-            else:
-                self._say_pulse(exchange)
-        if self._resting is None:
-            return compute_pulse_s(None)
-        if waits or time.monotonic() - self._looked_at >= KEEP_S / 2:
+        if resting is not None and (waits or time.monotonic() - self._looked_at >= KEEP_S / 2):
             # Nobody takes up what the host said, or it would have to wait.
-            self._resting.wake()
-        return compute_pulse_s(self._resting.find_repeat_s())
+            resting.wake()
+        seconds = compute_pulse_s(None if resting is None else resting.find_repeat_s())
+        let_go = _hold_nothing if resting is None or not says else resting.hold_writes()
+        if says:
+            self._say_pulse(exchange)
+        return seconds, let_go
 
     def _say_pulse(self, exchange: OpenExchange) -> None:
         # Whatever goes wrong has ended the conversation.
@@ -621,6 +623,10 @@ def _compute_left(deadline: float) -> float:
     if left <= 0:
         raise DeadlineError("no time is left")
     return left
+
+
+def _hold_nothing() -> None:
+    """Let go nothing."""
 
 
 def _build_heartbeat(packet: bytes) -> dict[str, object]:

@@ -18,8 +18,10 @@ NEAR_PULSE_S = 0.9
 # Repeated after so long, and again after twice as long: the kernel doubles the time.
 _REPEATS = 3
 _GUARD = threading.Lock()
+# Writes a pulse; the seconds until the next one, and what lets go what may be held back of it.
+Sender = Callable[[], tuple[float, Callable[[], None]]]
 # By what sends a pulse: s until the next one.
-_SENDERS: dict[Callable[[], float], float] = {}
+_SENDERS: dict[Sender, float] = {}
 _RUNNING: list[threading.Thread] = []
 
 
@@ -30,10 +32,11 @@ def compute_pulse_s(repeat_s: float | None) -> float:
 
 
 @contextmanager
-def keep_pulsing(send: Callable[[], float]) -> Iterator[None]:
-    """Call ``send``, which waits for nothing, within the block; it returns the seconds until the next time.
+def keep_pulsing(send: Sender) -> Iterator[None]:
+    """Call ``send``, which waits for nothing, within the block.
 
-    All that wait for equally long are called together.
+    All that wait for equally long are called together, and then let go what they have written: a packet wakes
+    programs up, which take the processor and its caches from the next one (ADR 214).
     """
     with _GUARD:
         _SENDERS[send] = PULSE_S
@@ -60,12 +63,16 @@ def _send_pulses() -> None:
         now = time.monotonic()
         with _GUARD:
             due = [send for send, each in _SENDERS.items() if now // each > before // each]
-        before = now
+        before, held = now, list[Callable[[], None]]()
         for send in due:
             period = PULSE_S
             # One that fails costs its own host alone.
             with suppress(Exception):
-                period = send()
+                period, let_go = send()
+                held.append(let_go)
             with _GUARD:
                 if send in _SENDERS:
                     _SENDERS[send] = period
+        for let_go in held:
+            with suppress(Exception):
+                let_go()

@@ -14,9 +14,12 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from edgectl.dataclass import dataclass
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
 
 # Bounds of connecting, seconds.
 CONNECT_TIMEOUT_S = 5.0
@@ -34,6 +37,8 @@ MAX_LOGIN_BYTES = 1 << 18
 REKEY_BYTES = 1 << 17
 # What hosts behind a jump host may have sent and nobody has read yet, bytes.
 MAX_TUNNEL_BYTES = 1 << 26
+# What may be held back before it is sent: some pulses.
+_MAX_HELD_BYTES = 1 << 10
 # paramiko asks for as much as a packet announces, and OpenSSH sends none above 256 KiB.
 MAX_PACKET_BYTES = 1 << 19
 _CHUNK_BYTES = 1 << 16
@@ -90,11 +95,17 @@ class TunedSocket(socket.socket):
     """A socket without the two 40 ms stalls of an SSH login (Nagle, delayed acknowledgement).
 
     Beyond its ``allowance`` it reads as closed, as it does where a packet announces more than
-    ``MAX_PACKET_BYTES``. One thread receives.
+    ``MAX_PACKET_BYTES``. One thread receives. paramiko sends one packet at a time.
     """
 
     # What the kernel had beyond what was asked for: paramiko asks twice per packet.
     _ahead, _taken = b"", 0
+    # What waits for `send_held`; None: nothing is held back.
+    _held: bytes | None = None
+
+    @cached_property
+    def _holding(self) -> threading.Lock:
+        return threading.Lock()
 
     @cached_property
     def allowance(self) -> Allowance:
@@ -111,6 +122,37 @@ class TunedSocket(socket.socket):
         self._taken += len(data)
         self.allowance.charge(len(data))
         return b"" if self.allowance.is_spent() else data
+
+    def send(self, data: "ReadableBuffer", flags: int = 0, /) -> int:
+        """Send, after what is held back; hold it back as well where both are few bytes."""
+        if self._held is None:
+            return super().send(data, flags)
+        with self._holding:
+            if self._held is not None and len(self._held) + memoryview(data).nbytes <= _MAX_HELD_BYTES:
+                self._held += data
+                return memoryview(data).nbytes
+            self._send_held()
+        return super().send(data, flags)
+
+    def hold(self) -> None:
+        """Hold back what is sent from now on until `send_held`, which must follow at once."""
+        with self._holding:
+            self._held = self._held or b""
+
+    def send_held(self) -> None:
+        """Send what was held back, and hold back nothing more; a line that does not take it has ended."""
+        with self._holding:
+            self._send_held()
+
+    def _send_held(self) -> None:
+        """Send it, with the lock. Until it is sent, whoever sends waits for the lock."""
+        try:
+            if self._held:
+                self.sendall(self._held)
+        except OSError:
+            hang_up(self)
+        finally:
+            self._held = None
 
     def _fetch(self, flags: int) -> bytes:
         """What the kernel has; it resets the option to acknowledge at once, so it is set each time."""

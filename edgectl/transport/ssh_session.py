@@ -19,6 +19,7 @@ from edgectl.transport.base import Reply
 from edgectl.transport.sockets import (
     MAX_LOGIN_BYTES,
     Line,
+    TunedSocket,
     can_write_to,
     find_repeat_s,
     hang_up,
@@ -170,6 +171,13 @@ class SshSession:
         """Whether the line takes a few bytes without a wait; behind a jump host nobody knows."""
         return isinstance(self._line, socket.socket) and can_write_to(self._line.fileno())
 
+    def hold_writes(self) -> Callable[[], None]:
+        """Hold back the few bytes that are written next until what is returned is called, at once after."""
+        if not isinstance(self._line, TunedSocket):
+            return _wait_for_nothing
+        self._line.hold()
+        return self._line.send_held
+
     def find_repeat_s(self) -> float | None:
         """Seconds after which the line repeats what was lost; None where nobody knows."""
         return find_repeat_s(self._line)
@@ -302,6 +310,10 @@ class SshExchange:
     def has_arrived(self) -> bool:
         """As ``RestingExchange.has_arrived``: a read may have to tell the server that there is room again."""
         return self._arrived.is_new and self.can_write()
+
+    def hold_writes(self) -> Callable[[], None]:
+        """As ``RestingExchange.hold_writes``."""
+        return self._session.hold_writes()
 
     def find_repeat_s(self) -> float | None:
         """As ``RestingExchange.find_repeat_s``."""

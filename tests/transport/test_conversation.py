@@ -477,6 +477,9 @@ class RestingScript(ScriptedExchange):
         super().finish(data, timeout=timeout)
         self.wake()
 
+    def hold_writes(self) -> Callable[[], None]:
+        return lambda: None
+
     def find_repeat_s(self) -> float | None:
         return self.repeat_s
 
@@ -794,9 +797,11 @@ def test_a_near_host_gets_its_pulses_at_a_slower_pace() -> None:
     with ExitStack() as stack:
         for repeat_s, sent in times.items():
 
-            def send(repeat_s: float | None = repeat_s, sent: list[float] = sent) -> float:
+            def send(
+                repeat_s: float | None = repeat_s, sent: list[float] = sent
+            ) -> tuple[float, Callable[[], None]]:
                 sent.append(time.monotonic())
-                return pulses.compute_pulse_s(repeat_s)
+                return pulses.compute_pulse_s(repeat_s), lambda: None
 
             stack.enter_context(pulses.keep_pulsing(send))
         until(lambda: len(times[0.2]) >= 7)
