@@ -92,13 +92,14 @@ class Store:
         def record(connection: sqlite3.Connection) -> None:
             left.clear()
             memory = recall(connection, before)
-            store_write.write_samples(connection, snapshot, memory.links)
+            written = store_write.write_samples(connection, snapshot, memory.links, memory.written)
             events, after = store_events.detect_events(
                 memory.fleet, snapshot, changing=changing, unfinished=unfinished
             )
             store_write.write_events(connection, events)
             if store_write.write_known_fleet(connection, memory.fleet, after):
-                left.append(replace(memory, fleet=store_events.sort_known_fleet(after)))
+                known = store_events.sort_known_fleet(after)
+                left.append(replace(memory, fleet=known, written=written))
 
         if self._write(record) and left:
             self._memory = left[0]

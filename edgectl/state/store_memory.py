@@ -12,13 +12,15 @@ from edgectl.state.store_events import KnownFleet
 class StoreMemory:
     """The numbers of the links and the known state of the fleet, as ``connection`` has left them.
 
-    ``version``: changes where any other connection writes to the file.
+    ``version``: changes where any other connection writes to the file. ``written``: the links of the last
+    snapshot, while their samples wait.
     """
 
     connection: sqlite3.Connection
     version: int
     links: store_write.LinkNumbers
     fleet: KnownFleet
+    written: store_write.WrittenLinks | None = None
 
 
 def recall(connection: sqlite3.Connection, kept: StoreMemory | None) -> StoreMemory:

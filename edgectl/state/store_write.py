@@ -3,14 +3,15 @@
 
 import json
 import sqlite3
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
+from edgectl.dataclass import dataclass
 from edgectl.model.event import Event, EventKind
 from edgectl.model.latency import list_latency_readings
 from edgectl.model.plan import Action, Plan
 from edgectl.model.point import TASK_AMOUNT_COLUMNS, TaskPoint, get_columns
 from edgectl.model.result import Results
-from edgectl.model.snapshot import HostStatus, Snapshot, TaskSample, TaskState
+from edgectl.model.snapshot import HostStatus, LinkSample, Snapshot, TaskSample, TaskState
 from edgectl.state import store_rows as rows
 from edgectl.state.store_events import KnownFleet, KnownHost, KnownTask
 from edgectl.state.store_rows import DamagedRowError
@@ -27,35 +28,60 @@ _MOVE_LOADS = (
     "DELETE FROM new_loads",
     "DELETE FROM new_instants",
 )
-
+_REPEAT_LOADS = (
+    "INSERT OR REPLACE INTO new_loads (link, at, capacity_bytes_per_s, used_bytes_per_s, rtt_ms)"
+    " SELECT link, ?, capacity_bytes_per_s, used_bytes_per_s, rtt_ms FROM new_loads WHERE at = ?"
+)
 
 LinkNumbers = dict[tuple[str, str], int]
+# By edge and robot.
+Links = Mapping[str, Mapping[str, LinkSample]]
 
 
-def write_samples(connection: sqlite3.Connection, snapshot: Snapshot, numbers: LinkNumbers) -> None:
-    """Insert all samples of ``snapshot``.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WrittenLinks:
+    """The ``links`` whose samples of the instant ``at`` wait until they are moved."""
 
-    ``numbers``: as of `load_link_numbers`; those of new links are added.
+    at: float
+    links: Links
+
+
+def write_samples(
+    connection: sqlite3.Connection,
+    snapshot: Snapshot,
+    numbers: LinkNumbers,
+    written: WrittenLinks | None = None,
+) -> WrittenLinks | None:
+    """Insert all samples of ``snapshot``; what it left for the next one, if that is known.
+
+    ``numbers``: as of `load_link_numbers`; those of new links are added. ``written``: what the snapshot
+    before left, of which the file still has all.
     """
     _insert_rows(connection, "host_samples", rows.HOSTS.names, rows.host_rows_from_snapshot(snapshot))
-    _write_link_samples(connection, snapshot, numbers)
+    links = {edge: sample.links for edge, sample in snapshot.hosts.items() if sample.links}
+    waits = bool(links) and _write_link_samples(connection, snapshot.taken_at, links, numbers, written)
     _write_task_samples(connection, list(rows.task_points_from_snapshot(snapshot)))
     _write_metric_readings(connection, snapshot)
+    return WrittenLinks(at=snapshot.taken_at, links=links) if waits else None
 
 
-def _write_link_samples(connection: sqlite3.Connection, snapshot: Snapshot, numbers: LinkNumbers) -> None:
-    found = [
-        ((edge, robot), link)
-        for edge, sample in snapshot.hosts.items()
-        for robot, link in sample.links.items()
-    ]
-    if not found:
-        return
+def _write_link_samples(
+    connection: sqlite3.Connection,
+    at: float,
+    links: Links,
+    numbers: LinkNumbers,
+    written: WrittenLinks | None,
+) -> bool:
+    """Insert the samples of ``links``; whether they wait, and no others of this instant do."""
+    new = links
+    if written is not None and _is_mostly_same(links, written.links):
+        connection.execute(_REPEAT_LOADS, (at, written.at))
+        new = {edge: each for edge, each in links.items() if each is not written.links[edge]}
+    found = [((edge, robot), link) for edge, each in new.items() for robot, link in each.items()]
     unknown = [pair for pair, _ in found if pair not in numbers]
     if unknown:
         connection.executemany("INSERT OR IGNORE INTO links (edge, robot) VALUES (?, ?)", unknown)
         numbers.update(load_link_numbers(connection))
-    at = snapshot.taken_at
     connection.executemany(
         "INSERT OR REPLACE INTO new_loads (link, at, capacity_bytes_per_s, used_bytes_per_s, rtt_ms)"
         " VALUES (?, ?, ?, ?, ?)",
@@ -64,10 +90,26 @@ def _write_link_samples(connection: sqlite3.Connection, snapshot: Snapshot, numb
             for pair, link in found
         ],
     )
-    connection.execute("INSERT OR IGNORE INTO new_instants (at) VALUES (?)", (at,))
-    if connection.execute("SELECT count(*) FROM new_instants").fetchone()[0] >= _SNAPSHOTS_MOVED:
-        for statement in _MOVE_LOADS:
-            connection.execute(statement)
+    # Of an instant that was there already the file may have more.
+    is_new = connection.execute("INSERT OR IGNORE INTO new_instants (at) VALUES (?)", (at,)).rowcount == 1
+    is_full = connection.execute("SELECT count(*) FROM new_instants").fetchone()[0] >= _SNAPSHOTS_MOVED
+    for statement in _MOVE_LOADS if is_full else ():
+        connection.execute(statement)
+    return is_new and not is_full
+
+
+def _is_mostly_same(links: Links, before: Links) -> bool:
+    """Whether they are the same links, and those of most edges the very same samples.
+
+    Most links of a watch are idle, and their edge has said nothing new: to repeat their samples in SQL costs
+    less than to make rows of them.
+    """
+    same = sum(each is before.get(edge) for edge, each in links.items())
+    return (
+        2 * same > len(links)
+        and links.keys() == before.keys()
+        and all(each is before[edge] or each.keys() == before[edge].keys() for edge, each in links.items())
+    )
 
 
 def load_link_numbers(connection: sqlite3.Connection) -> LinkNumbers:

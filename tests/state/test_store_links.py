@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples of links in the history: where they are gathered and moved, and what a snapshot writes."""
 
+import random
 import sqlite3
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -86,6 +88,47 @@ def test_samples_are_moved_whichever_hosts_come_and_go(tmp_path: Path, period: i
         assert len(store.link_points("edge2")) == 150
     # Each snapshot has two to four samples; the sixtieth moves them.
     assert 2 * 59 <= most <= 4 * 59
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_the_very_same_is_recorded_like_what_is_equal(tmp_path: Path, seed: int) -> None:
+    """A watch has the links of an edge that says nothing new as the same object. One store keeps its file open, and
+    sometimes another one writes beside it; the other store is opened anew for each snapshot, so it knows nothing.
+    """
+    draw = random.Random(seed)
+    edges: dict[str, dict[str, LinkSample]] = {}
+    for name in ("kept", "anew"):
+        (tmp_path / name).mkdir()
+    with Store.open(tmp_path / "kept") as kept:
+        for second in range(200):
+            for edge in draw.sample(
+                [f"edge{number}" for number in range(9)], draw.choice([0, 0, 1, 1, 2, 9])
+            ):
+                robots = draw.sample(["robot1", "robot2", "robot3"], draw.choice([3, 3, 3, 2, 0]))
+                edges[edge] = {
+                    robot: LinkSample(capacity_bytes_per_s=100.0, used_bytes_per_s=draw.random())
+                    for robot in robots
+                }
+            hosts = {name: a_sample(links=links) for name, links in edges.items() if draw.random() < 0.995}
+            snapshot = Snapshot(taken_at=NOW + second - draw.choice([0, 0, 0, 0, 3]), hosts=hosts)
+            with Store.open(tmp_path / "kept") if draw.random() < 0.05 else nullcontext(kept) as store:
+                store.record_snapshot(snapshot)
+            with Store.open(tmp_path / "anew") as store:
+                store.record_snapshot(snapshot)
+                if second % 20 == 0 or second > 195:
+                    assert kept.link_points() == store.link_points()
+        assert len({point.at for point in kept.link_points()}) > 120
+
+
+def test_another_one_may_have_moved_what_would_be_repeated(tmp_path: Path) -> None:
+    links = {"robot1": LinkSample(capacity_bytes_per_s=100.0, used_bytes_per_s=1.0)}
+    with Store.open(tmp_path) as kept:
+        for second in range(130):
+            with Store.open(tmp_path) if second in (59, 119) else nullcontext(kept) as store:
+                store.record_snapshot(a_snapshot(taken_at=NOW + second, edge1=a_sample(links=links)))
+            if second in (59, 119):
+                assert count_rows(tmp_path, "new_loads") == 0
+        assert [point.at - NOW for point in kept.link_points()] == list(range(130))
 
 
 def test_a_snapshot_does_not_write_a_page_for_each_link(tmp_path: Path) -> None:
