@@ -49,7 +49,7 @@ def observe_link(
 
     ``nominal``: bytes/s that it carries where nothing was read of it.
     """
-    if _says_nothing_new(known, seen):
+    if says_nothing_new(known, seen):
         return known
     known = _note_answer(known, seen, now)
     if seen.carries_bytes_per_s:
@@ -60,7 +60,7 @@ def observe_link(
     return _refute_readings(_confirm_fall(known, seen.used_bytes_per_s), seen.used_bytes_per_s, now)
 
 
-def _says_nothing_new(known: LinkHistory, seen: LinkObservation) -> bool:
+def says_nothing_new(known: LinkHistory, seen: LinkObservation) -> bool:
     """Whether an idle link without readings answers as it did: most links of a large fleet, looked at in each
     cycle of a watch.
     """

@@ -2,14 +2,20 @@
 """Live capacity of the links of a fleet: read at every probe, and by probes of idle links on request."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import replace
 
 from edgectl.errors import StateError
 from edgectl.model.event import Event, EventKind
 from edgectl.model.link_reading import LinkHistory, LinkObservation
 from edgectl.model.snapshot import Snapshot
-from edgectl.rules.live_links import add_sample, apply_live_capacities, forget_former_readings, observe_link
+from edgectl.rules.live_links import (
+    add_sample,
+    apply_live_capacities,
+    forget_former_readings,
+    observe_link,
+    says_nothing_new,
+)
 from edgectl.state.link_readings import load_link_histories, save_link_histories
 from edgectl.usecases.fleet import Fleet
 
@@ -31,24 +37,26 @@ def measure_live_links(
     """
     stored = load_link_histories(fleet.state, fleet.warn)
     blind = {robot.name for robot in fleet.inventory.robots if not robot.probe}
+    answers = _answer_for(blind, observations) if blind else observations
     observed = {
         pair: observe_link(
             stored.get(pair, _NOTHING),
-            # A robot that is never contacted never counts as cut off.
-            replace(link, answered=True) if pair[1] in blind else link,
+            link,
             snapshot.taken_at,
             _find_nominal(snapshot, pair) if link.carries_bytes_per_s else math.inf,
         )
-        for pair, link in observations.items()
+        for pair, link in answers.items()
+        if not says_nothing_new(stored.get(pair, _NOTHING), link)
     }
-    known = forget_former_readings(observed, snapshot.taken_at)
-    changed = {pair: each for pair, each in known.items() if each is not stored.get(pair, _NOTHING)}
+    read = forget_former_readings(observed, snapshot.taken_at)
+    changed = {pair: each for pair, each in read.items() if each is not stored.get(pair, _NOTHING)}
     _record_cut_links(fleet, snapshot, stored, changed)
-    seen = apply_live_capacities(snapshot, known, observations, snapshot.taken_at)
+    seen = apply_live_capacities(snapshot, read, observations, snapshot.taken_at)
     if probe_idle and fleet.inventory.probe_links:
         from edgectl.gateway.bandwidth import probe_idle_links
         from edgectl.rules.link_turns import choose_links_to_probe, find_link_use, split_into_rounds
 
+        known = {pair: read.get(pair) or stored.get(pair, _NOTHING) for pair in observations}
         use = find_link_use(seen, {name: task.robots for name, task in fleet.tasks.tasks.items()})
         chosen = choose_links_to_probe(fleet.inventory, seen, known, observations, snapshot.taken_at, use)
         for pairs in split_into_rounds(chosen):
@@ -59,11 +67,23 @@ def measure_live_links(
                 )
         seen = apply_live_capacities(snapshot, known, observations, snapshot.taken_at)
     # Links of hosts that did not answer now are kept.
-    gone = {pair for pair in stored if pair not in known and not fleet.inventory.hosts.keys() >= {*pair}}
+    gone = {
+        pair for pair in stored if pair not in observations and not fleet.inventory.hosts.keys() >= {*pair}
+    }
     if gone or changed:
         kept = {pair: each for pair, each in {**stored, **changed}.items() if pair not in gone}
         _save(fleet, stored, {pair: each for pair, each in kept.items() if each != _NOTHING})
     return seen
+
+
+def _answer_for(
+    blind: Set[str], observations: Mapping[tuple[str, str], LinkObservation]
+) -> dict[tuple[str, str], LinkObservation]:
+    """The observations, where robots that are never contacted (``blind``) never count as cut off."""
+    return {
+        pair: replace(link, answered=True) if pair[1] in blind else link
+        for pair, link in observations.items()
+    }
 
 
 def _find_nominal(snapshot: Snapshot, pair: tuple[str, str]) -> float:

@@ -111,7 +111,7 @@ def test_a_link_that_says_nothing_new_would_be_left_as_it_is() -> None:
     ]
     skipped = 0
     for known, seen in product(histories, observations):
-        if live_links._says_nothing_new(known, seen):
+        if live_links.says_nothing_new(known, seen):
             noted, rate = live_links._note_answer(known, seen, 9.0), seen.used_bytes_per_s
             assert live_links._refute_readings(live_links._confirm_fall(noted, rate), rate, 9.0) == known
             assert not seen.carries_bytes_per_s
