@@ -154,8 +154,8 @@ class RestingExchange(OpenExchange, Protocol):
         ...
 
     def hold_writes(self) -> Callable[[], None]:
-        """Hold back the few bytes that are written next until what is returned is called, which must be soon:
-        to send wakes programs up, who take the processor and its caches.
+        """Hold back the few bytes that this thread writes next until it calls what is returned, soon: to send
+        wakes programs up, which take the processor and its caches.
         """
         ...
 

@@ -37,8 +37,6 @@ MAX_LOGIN_BYTES = 1 << 18
 REKEY_BYTES = 1 << 17
 # What hosts behind a jump host may have sent and nobody has read yet, bytes.
 MAX_TUNNEL_BYTES = 1 << 26
-# What may be held back before it is sent: some pulses.
-_MAX_HELD_BYTES = 1 << 10
 # paramiko asks for as much as a packet announces, and OpenSSH sends none above 256 KiB.
 MAX_PACKET_BYTES = 1 << 19
 _CHUNK_BYTES = 1 << 16
@@ -100,8 +98,9 @@ class TunedSocket(socket.socket):
 
     # What the kernel had beyond what was asked for: paramiko asks twice per packet.
     _ahead, _taken = b"", 0
-    # What waits for `send_held`; None: nothing is held back.
-    _held: bytes | None = None
+    # What waits for `send_held`, and the thread that holds it back.
+    _held: bytes = b""
+    _holder: int | None = None
 
     @cached_property
     def _holding(self) -> threading.Lock:
@@ -124,20 +123,23 @@ class TunedSocket(socket.socket):
         return b"" if self.allowance.is_spent() else data
 
     def send(self, data: "ReadableBuffer", flags: int = 0, /) -> int:
-        """Send, after what is held back; hold it back as well where both are few bytes."""
-        if self._held is None:
+        """Send, after what is held back; what the thread sends that holds back is held back, too."""
+        if self._holder is None:
             return super().send(data, flags)
         with self._holding:
-            if self._held is not None and len(self._held) + memoryview(data).nbytes <= _MAX_HELD_BYTES:
+            if self._holder == threading.get_ident():
                 self._held += data
                 return memoryview(data).nbytes
             self._send_held()
         return super().send(data, flags)
 
     def hold(self) -> None:
-        """Hold back what is sent from now on until `send_held`, which must follow at once."""
+        """Hold back the few bytes that this thread sends until it calls `send_held`, or another thread sends.
+
+        Others must not wait: this thread may wait for what they send, such as for an exchange of keys.
+        """
         with self._holding:
-            self._held = self._held or b""
+            self._holder = threading.get_ident()
 
     def send_held(self) -> None:
         """Send what was held back, and hold back nothing more; a line that does not take it has ended."""
@@ -152,7 +154,7 @@ class TunedSocket(socket.socket):
         except OSError:
             hang_up(self)
         finally:
-            self._held = None
+            self._held, self._holder = b"", None
 
     def _fetch(self, flags: int) -> bytes:
         """What the kernel has; it resets the option to acknowledge at once, so it is set each time."""

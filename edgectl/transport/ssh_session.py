@@ -172,7 +172,7 @@ class SshSession:
         return isinstance(self._line, socket.socket) and can_write_to(self._line.fileno())
 
     def hold_writes(self) -> Callable[[], None]:
-        """Hold back the few bytes that are written next until what is returned is called, at once after."""
+        """Hold back the few bytes that this thread writes next until it calls what is returned."""
         if not isinstance(self._line, TunedSocket):
             return _wait_for_nothing
         self._line.hold()
