@@ -19,7 +19,6 @@ from edgectl.transport.base import Reply
 from edgectl.transport.sockets import (
     MAX_LOGIN_BYTES,
     Line,
-    TunedSocket,
     can_write_to,
     find_repeat_s,
     hang_up,
@@ -173,8 +172,6 @@ class SshSession:
 
     def hold_writes(self) -> Callable[[], None]:
         """Hold back the few bytes that this thread writes next until it calls what is returned."""
-        if not isinstance(self._line, TunedSocket):
-            return _wait_for_nothing
         self._line.hold()
         return self._line.send_held
 

@@ -48,15 +48,15 @@ def measure_live_links(
         for pair, link in answers.items()
         if not says_nothing_new(stored.get(pair, _NOTHING), link)
     }
-    read = forget_former_readings(observed, snapshot.taken_at)
-    changed = {pair: each for pair, each in read.items() if each is not stored.get(pair, _NOTHING)}
+    news = forget_former_readings(observed, snapshot.taken_at)
+    changed = {pair: each for pair, each in news.items() if each is not stored.get(pair, _NOTHING)}
     _record_cut_links(fleet, snapshot, stored, changed)
-    seen = apply_live_capacities(snapshot, read, observations, snapshot.taken_at)
+    seen = apply_live_capacities(snapshot, news, observations, snapshot.taken_at)
     if probe_idle and fleet.inventory.probe_links:
         from edgectl.gateway.bandwidth import probe_idle_links
         from edgectl.rules.link_turns import choose_links_to_probe, find_link_use, split_into_rounds
 
-        known = {pair: read.get(pair) or stored.get(pair, _NOTHING) for pair in observations}
+        known = {pair: news.get(pair) or stored.get(pair, _NOTHING) for pair in observations}
         use = find_link_use(seen, {name: task.robots for name, task in fleet.tasks.tasks.items()})
         chosen = choose_links_to_probe(fleet.inventory, seen, known, observations, snapshot.taken_at, use)
         for pairs in split_into_rounds(chosen):
