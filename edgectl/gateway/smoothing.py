@@ -86,10 +86,6 @@ def _smooth_usage(
     tasks: tuple[list[TaskSample], list[TaskSample], list[TaskSample]],
     weight: float,
 ) -> ResourceUsage:
-    if not any(tasks):
-        # Most hosts of a large fleet run none.
-        mean = _compute_mean(before.used, now.used, weight)
-        return ResourceUsage(capacity=now.capacity, used=max(0.0, mean))
     was, ours, averaged = (sum([task.used[name] for task in each]) if each else 0.0 for each in tasks)
     others = _compute_mean(before.used - was, now.used - ours, weight)
     return ResourceUsage(capacity=now.capacity, used=max(0.0, others + averaged))
